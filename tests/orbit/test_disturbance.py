@@ -88,7 +88,8 @@ def test_what_grows_slowly_is_moved_farther_to_the_side_of_the_trajectory_and_fa
     assert np.abs(off(SLOW, np.zeros(4))[0]).max() == pytest.approx(FARTHEST * 1.001**-200)
     for side in (1, -1):
         (moved,) = off(SLOW, side * np.array([0.0, 1e-3, 1e-9, 0.0]))
-        assert moved[1] == pytest.approx(side * FARTHEST * 1.001**-200)
+        hardly, _ = off(SLOW, side * np.array([0.0, 1e-6, 0.0, 0.0]))
+        assert hardly[1] == moved[1] == pytest.approx(side * FARTHEST * 1.001**-200)
         (moved,) = off(SLOW, side * np.array([0.0, 0.08, 0.0, 0.0]))
         assert moved[1] == pytest.approx(side * FARTHER * 0.04)
 
@@ -99,6 +100,7 @@ def test_it_goes_the_other_way_where_contacts_do_not_allow_the_one_but_not_to_th
         (moved,) = off(FAST, np.zeros(4), **allows)
         assert side * moved[1] > 0
         assert len(off(FAST, side * np.array([0.0, 1e-3, 0.0, 0.0]), **allows)) == 1
+        assert side * off(FAST, -side * np.array([0.0, 1e-6, 0.0, 0.0]), **allows)[0][1] > 0
         assert not off(FAST, -side * np.array([0.0, 1e-3, 0.0, 0.0]), **allows)
 
 

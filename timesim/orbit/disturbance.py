@@ -2,8 +2,8 @@
 
 Beside the place where a motion loses its stability a disturbance grows by a thousandth in a cycle or less, and bodies
 that are equal, and begin alike, move alike until rounding parts them. What would not have left within its budget is
-moved: as far as it takes to leave soon, but no farther, for a stable motion may
-lie beside the unstable one; and farther if it has not left then.
+moved: as far as it takes to leave soon, but no farther, for a stable motion may lie beside the unstable one; and
+farther if it has not left then.
 """
 
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from timesim.orbit.lane import Lane, Recorded
-from timesim.orbit.threshold import DISTURBANCE, FARTHER, FARTHEST, GONE, SOON, UNSTABLE
+from timesim.orbit.threshold import DISTURBANCE, FARTHER, FARTHEST, GONE, SOON, UNSTABLE, VAGUE
 
 SIDED = 1e-9  # least distance from a motion, relative, that tells on which side of it a trajectory is: beyond rounding
 LARGE = 0.3  # entry of a unit vector; the first such tells its sign
@@ -54,7 +54,7 @@ class Departure:
 
         That which grows most alone would leave unstable motions of other bodies, and symmetries, as they are. It is
         moved to the side of the trajectory, for on the other may lie another motion; where that tells none, so that an
-        early entry grows. There contacts may not allow it, but the other, see `Lane.moved`.
+        early entry grows. A trajectory that has hardly left may go either way if contacts do not allow the one.
         """
         values, vectors = self._own
         end, sided = self.recorded.end, SIDED < self.off < np.inf
@@ -63,7 +63,7 @@ class Departure:
         ways = vectors * (np.abs(values) * sides / np.abs(sides))
         share = max(DISTURBANCE, FARTHEST * self.growth**-SOON, FARTHER * self.off if sided else 0.0)
         way = share * end.size / self._growing(ways) * (self.recorded.disturbances @ ways.sum(axis=1).real)
-        for side in (1, -1)[: 1 if sided else 2]:
+        for side in (1, -1)[: 1 if VAGUE < self.off < np.inf else 2]:
             moved = end.moved(end.vector + side * way)
             if moved is not None:
                 yield moved
