@@ -470,6 +470,7 @@ def test_cell_array_is_no_matrix(tmp_path: Path):
         ("%%MatrixMarket matrix coordinate real general\n2 3 1\n1 1 1\n", "must be square, not 2 x 3"),
         ("%%MatrixMarket matrix coordinate complex general\n1 1 1\n1 1 1 1\n", "real numbers"),
         ("%%MatrixMarket matrix coordinate pattern general\n1 1 1\n1 1\n", "where entries are, not what"),
+        ("%%MatrixMarket Matrix Coordinate Pattern General\n1 1 1\n1 1\n", "where entries are, not what"),
         (
             "%%MatrixMarket matrix coordinate real general\n% a\n\n1 1 1\n1 1 3,6\n",
             "line 5 is not of plain numbers: 1 1 3,6",
@@ -492,7 +493,7 @@ def test_matrix_market_that_is_wrong(content: str, rule: str, tmp_path: Path):
 def test_exponents_of_fortran_and_decimals_of_integers_are_read_whole(tmp_path: Path):
     """SciPy's own reader takes 2.5 for 2.5D+01, and 3 for 3.0e1 in a file of integers."""
     (tmp_path / "m.mtx").write_text(
-        "%%MatrixMarket matrix coordinate integer general\n% pattern of a grid\n2 2 2\n1 1 3.0e1\n2 2 10"
+        "%%MatrixMarket matrix coordinate Integer general\n% symmetric pattern\n2 2 3\n1 1 2.0e1\n1 1 10.\n2 2 10"
     )
     (tmp_path / "k.mtx").write_text("%%MatrixMarket matrix array real symmetric\n2 2\n2.5D+01\n-1.d0\n25d0")
     read = read_matrices({"mass": tmp_path / "m.mtx", "stiffness": tmp_path / "k.mtx"})
@@ -516,6 +517,13 @@ def test_sparse_npz_that_is_wrong(changes: dict[str, Any], rule: str, tmp_path: 
     key, loaded = refusal(files({"mass": tmp_path / "m.npz", "stiffness": tmp_path / "m.npz"}))
     assert key == "structure.file.mass"
     assert rule in loaded
+
+
+def test_a_sparse_matrix_of_a_mat_file_whose_indices_lie_beyond_its_rows(tmp_path: Path):
+    stiffness = scipy.sparse.csc_array(np.eye(3))
+    stiffness.indices[2] = 7
+    scipy.io.savemat(tmp_path / "a.mat", {"M": np.eye(3), "K": stiffness})
+    assert "cannot be read (indices must be < 3)" in refusal(files(tmp_path / "a.mat"))[1]
 
 
 @pytest.mark.parametrize(

@@ -24,8 +24,8 @@ WRITERS = {
     ".mtx": "scipy.io.mmwrite",
     ".npz": "numpy.savez, or of one sparse matrix scipy.sparse.save_npz",
 }
-MARKET = re.compile(rb"%%MatrixMarket[^\n]*\n(?:[ \t]*%[^\n]*\n|\s*\n)*")
-"""The header of a Matrix Market file, with comments."""
+MARKET = re.compile(rb"(%%MatrixMarket)([^\n]*\n)((?:[ \t]*%[^\n]*\n|\s*\n)*)")
+"""The header of a Matrix Market file: banner, kind, in capitals or not, and comments."""
 NO_NUMBER = re.compile(rb"[^-+.\deEnaifNAIF\s]|[\d.][-+]")
 
 
@@ -142,16 +142,16 @@ def _read_market(path: Path) -> Any:
     header = MARKET.match(text)
     if header is None:
         raise ValueError("its first line is no %%MatrixMarket header")
-    head = header[0].replace(b"integer", b"real", 1)
+    banner, kind, comments = header[1], header[2].lower().replace(b"integer", b"real"), header[3]
     body = text[header.end() :].translate(bytes.maketrans(b"Dd", b"EE"))
-    if b"pattern" in head.partition(b"\n")[0]:
+    if b"pattern" in kind:
         raise ValueError("a pattern says where entries are, not what they are")
     if odd := NO_NUMBER.search(body):
         line = text.count(b"\n", 0, header.end() + odd.end())
         written = text.splitlines()[line].decode(errors="replace").strip()
         raise ValueError(f"line {line + 1} is not of plain numbers: {written[:60]}")
-    matrix = scipy.io.mmread(io.BytesIO(head + body + b"\n"), spmatrix=False)
-    if b"symmetric" in head and hasattr(matrix, "tocsc") and matrix.tocsc().nnz < matrix.nnz:
+    matrix = scipy.io.mmread(io.BytesIO(banner + kind + comments + body + b"\n"), spmatrix=False)
+    if b"symmetric" in kind and hasattr(matrix, "tocsc") and matrix.tocsc().nnz < matrix.nnz:
         raise ValueError("it is called symmetric and gives an entry twice: one triangle is enough")
     return matrix
 
