@@ -183,8 +183,15 @@ def _departed(search: Search, departure: Departure) -> Search | None:
     if lane is None:
         return None
     lane, later = replace(lane, control=search.lane.control), threshold.LATER * search.cycles
-    off = Search(search.chain, search.place, lane, cycles=search.cycles, next_shot=later, disturbed=True)
-    return replace(off, attempts=search.attempts)
+    return Search(
+        search.chain,
+        search.place,
+        lane,
+        cycles=search.cycles,
+        attempts=search.attempts,
+        next_shot=later,
+        disturbed=True,
+    )
 
 
 def _done(search: Search, recorded: Recorded) -> Search:
