@@ -15,7 +15,7 @@ from timesim.hbm.continuation.step import Step
 
 # Distance by which the tangents of two points miss each other, as a share of the way, up to which a corner is between.
 STRAIGHT = 0.1
-# Length of a step up to which a tangent that turns by much may have met a corner of the curve.
+# Length of a step up to which one that fails, or a tangent that turns by much, may have met a corner of the curve.
 NEAR_CORNER = 0.01
 # Cosine of the turn at a corner beyond which the curve goes to it, how close, and the share of the way at a time.
 SHARP, AT_CORNER, APPROACH = 0.5**0.5, 1e-6, 0.95
@@ -30,6 +30,8 @@ def around_corner(
 
     ``new``: a solution ahead, if one was found.
     """
+    if length > NEAR_CORNER:
+        return None
     with suppress(NoSolutionError):
         if new is None:
             along, tangent = _corner_ahead(corrector, point, length)
