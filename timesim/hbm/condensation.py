@@ -74,16 +74,17 @@ class Condensation:
     def _matrix(self) -> Array:
         """`matrix`."""
         own, size = self.works.reshape(-1, 3), self.size
-        count = np.count_nonzero(own)
+        count, turn = np.count_nonzero(own), _as_real(-self.flexibility[1:, self.works])
         motion, first = np.empty((count, size, count * size)), 0
         for i in np.flatnonzero(own.any(axis=1)):
-            columns = self.stiffness[i][:, :, own[i]].reshape(3, size, -1)
-            force = to_phasors(columns.swapaxes(1, 2)).transpose(2, 0, 1)
-            given = self.flexibility[:, self.works, 3 * i : 3 * i + 3] @ force
+            columns, of = self.stiffness[i][:, :, own[i]].reshape(3, size, -1), slice(3 * i, 3 * i + 3)
             last = first + columns.shape[2]
-            motion[:, :, first:last] = to_coefficients(given.transpose(1, 2, 0)).swapaxes(1, 2)
+            motion[:, 0, first:last] = -self.flexibility[0, self.works, of].real @ columns[:, 0]
+            waves = columns[:, 1:].reshape(3, len(turn), 2, -1).swapaxes(0, 1).reshape(len(turn), 6, -1)
+            moved = (turn[:, :, :, of].reshape(len(turn), -1, 6) @ waves).reshape(len(turn), count, 2, -1)
+            motion[:, 1:, first:last] = moved.swapaxes(0, 1).reshape(count, size - 1, -1)
             first = last
-        matrix = np.negative(motion, out=motion).reshape(count * size, count * size)
+        matrix = motion.reshape(count * size, count * size)
         matrix[np.diag_indices(count * size)] += 1.0
         return matrix
 
@@ -95,19 +96,29 @@ class Condensation:
         return to_coefficients((matrix @ to_phasors(rows).T[:, :, None])[..., 0].T)
 
 
+def _as_real(matrix: Complex) -> Array:
+    """A matrix of each harmonic by what it makes of the coefficients of cos and sin, (H, J, K) as (H, J, 2, K, 2)."""
+    whole = np.empty((*matrix.shape[:2], 2, matrix.shape[2], 2))
+    whole[:, :, 0, :, 0] = whole[:, :, 1, :, 1] = matrix.real
+    whole[:, :, 0, :, 1], whole[:, :, 1, :, 0] = matrix.imag, -matrix.imag
+    return whole
+
+
 def _linear_part(stiffness: Array) -> tuple[NDArray[np.bool_], Array]:
     """Which components act alike on each coefficient, and by what: shapes (3C,), (3C, 3C)."""
     num_contacts, size = stiffness.shape[0], stiffness.shape[2]
     constant, each = stiffness[:, :, 1, :, 1], np.arange(size)
     linear = np.zeros((num_contacts, 3), dtype=bool)
+    whole = stiffness.reshape(num_contacts, -1)
+    rounding = ROUNDING * np.maximum(whole.max(axis=1), -whole.min(axis=1))
     for (contact, k), _ in np.ndenumerate(linear):
-        by, rounding = stiffness[contact, :, :, k], ROUNDING * max(stiffness[contact].max(), -stiffness[contact].min())
+        by = stiffness[contact, :, :, k]
         # The column of one coefficient tells of most components that do not.
-        if np.abs(np.delete(by[..., 1], 1, axis=1)).max(initial=0.0) <= rounding:
+        if np.abs(np.delete(by[..., 1], 1, axis=1)).max(initial=0.0) <= rounding[contact]:
             rest = by.copy()
             rest[:, each, each] -= constant[contact, :, k, None]
-            linear[contact, k] = np.abs(rest, out=rest).max() <= rounding
-    whole = np.zeros((num_contacts, 3, num_contacts, 3))
+            linear[contact, k] = np.abs(rest, out=rest).max() <= rounding[contact]
+    by_contact = np.zeros((num_contacts, 3, num_contacts, 3))
     own = np.arange(num_contacts)
-    whole[own, :, own] = constant * linear[:, None, :]
-    return linear.ravel(), whole.reshape(3 * num_contacts, -1)
+    by_contact[own, :, own] = constant * linear[:, None, :]
+    return linear.ravel(), by_contact.reshape(3 * num_contacts, -1)

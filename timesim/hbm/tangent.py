@@ -41,10 +41,13 @@ from timesim.orbit.fourier import weighted
 from timesim.program import program
 
 Array64 = NDArray[np.float64]
+Lanes = tuple[Callable[[ConeLaw, Array64], Array], int]
 # Intervals that are differentiated side by side: of those in which the state changes, and of those that slip.
 LANES, SLIPPING = 32, 128
 # Intervals whose motion is put together at a time: few enough to stay near the processor.
 TOGETHER = 64
+# Intervals through which derivatives are chained at a time.
+LINKS = 8
 
 
 class Slope(NamedTuple):
@@ -91,8 +94,7 @@ def intervals_of(motion: Motion) -> Interval:
 
 def before(samples: Scalar) -> Scalar:
     """The sample before each one of a period, along the first axis."""
-    # By indices, so that arrays of numpy remain such.
-    return samples[np.arange(len(samples)) - 1]
+    return samples[np.arange(len(samples)) - 1]  # so arrays of numpy remain such
 
 
 def _kinds(law: ConeLaw, period: ClosedPeriod) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -115,11 +117,7 @@ def _slips(period: ClosedPeriod) -> NDArray[np.bool_]:
 
 
 def _put_slopes(
-    slope: Array64,
-    law: ConeLaw,
-    motion: tuple[Array | Array64, ...],
-    chosen: NDArray[np.bool_],
-    by: tuple[Callable[[ConeLaw, Array64], Array], int],
+    slope: Array64, law: ConeLaw, motion: tuple[Array | Array64, ...], chosen: NDArray[np.bool_], by: Lanes
 ) -> None:
     """Put the derivatives of R results over chosen intervals, by d at the start and by the motion; (N, C, R, 12).
 
@@ -164,7 +162,7 @@ def _slip_slopes(law: ConeLaw, arguments: Float[Array, "12 lane"]) -> Float[Arra
 def compile_slopes(law: ConeLaw) -> None:
     """Compile both, side by side: they take longer than all else of a balance."""
 
-    def compiled(by: tuple[Callable[[ConeLaw, Array64], Array], int]) -> None:
+    def compiled(by: Lanes) -> None:
         program_of, width = by
         program_of(part_of(law, np.zeros(width, dtype=int)), np.zeros((12, width)))
 
@@ -209,8 +207,7 @@ class _Chain:
                 by_u = np.concatenate([tangential[some, :, j], start[some, :, j, None]], axis=2)
                 np.matmul(by_u, course[:, 2:], out=out[..., j * size : (j + 1) * size])
             np.matmul(normal[some], course[:, :4], out=out[..., 2 * size : -2])
-        for k in np.flatnonzero(follows[:-1]):
-            rows[k + 1] += start[k] @ rows[k]
+        _chained(start * follows[:-1, None, None], rows)
         return cls(places, follows, rows)
 
     def starts(self, basis: Basis, of: NDArray[np.int64]) -> Array64:
@@ -233,6 +230,22 @@ class _Chain:
         whole = np.tensordot(weight, self.rows, 1)
         _add_to_both(whole, direct)
         return whole
+
+
+def _chained(step: Array64, rows: Array64) -> None:
+    """Solve x_k = A_k x_(k-1) + b_k in place, from A_1 ... A_K, shape (K, 2, 2), and x_0, b_1 ... b_K, (K + 1, 2, n).
+
+    Some at a time are one product of matrices: one by one they are too many.
+    """
+    steps = np.pad(step, [(0, -len(step) % LINKS), (0, 0), (0, 0)]).reshape(-1, LINKS, 2, 2)
+    maps = np.zeros((len(steps), LINKS + 1, 2, 2 * LINKS + 2))
+    maps[:, 0, :, :2] = np.eye(2)
+    for k in range(LINKS):
+        maps[:, k + 1] = steps[:, k] @ maps[:, k]
+        maps[:, k + 1, :, 2 * k + 2 : 2 * k + 4] = np.eye(2)
+    for block, first in zip(maps, range(0, len(step), LINKS), strict=True):
+        own = rows[first : first + LINKS + 1].reshape(-1, rows.shape[2])
+        own[2:] = block.reshape(2 * LINKS + 2, -1)[2 : len(own), : len(own)] @ own
 
 
 def _add_to_both(rows: Array64, part: Array64) -> None:
@@ -329,10 +342,9 @@ def _add_kinks(spectrum: Array64, slopes: Slope, contact: int, basis: Basis, cha
     kinks = np.flatnonzero(np.any(tangential, axis=(1, 2, 3)) | np.any(normal, axis=(1, 2)))
     if not kinks.size:
         return
-    course = _course(basis, places[kinks])
+    at, course = places[kinks], _course(basis, places[kinks])
     along = tangential[kinks].reshape(kinks.size, 12, 3) @ course[:, 2:5]
     rows = start[kinks] @ chain.starts(basis, kinks)
     rows[..., :-2] += np.concatenate([along.reshape(kinks.size, 6, -1), normal[kinks] @ course[:, :4]], axis=2)
-    for side, at in ((slice(0, 3), places[kinks] - 1), (slice(3, 6), places[kinks])):
-        put = basis.project[:, at] @ rows[:, side].reshape(kinks.size, -1)
-        spectrum += put.reshape(len(put), 3, -1).swapaxes(0, 1)
+    put = np.tensordot(basis.project[:, [at - 1, at]], rows.reshape(kinks.size, 2, 3, -1), ((2, 1), (0, 1)))
+    spectrum += put.swapaxes(0, 1)

@@ -56,6 +56,8 @@ def weighted(weight: NDArray[Any], size: int) -> Array:
     A product of two is half of those of the sum and of the difference of their orders. The weight is given at N equal
     samples of a period, the last at 2 pi; each column is of one of the functions, of at most N / 4 harmonics.
     """
+    if np.all(weight == weight[0]):
+        return weight[0] * np.eye(size)
     spectrum, (total, difference, sign) = np.fft.rfft(np.roll(weight, 1)) / len(weight), _orders(size // 2)
     more, less = spectrum[total], spectrum[difference]
     pairs, turned, whole = np.empty((len(total), 2, len(total), 2)), sign * less.imag, np.empty((size, size))
