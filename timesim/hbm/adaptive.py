@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from timesim.hbm.balance import Array, Balance, Complex, LinearResponse, contact_stiffness, mean_of
 from timesim.hbm.condensation import Condensation
 from timesim.hbm.continuation import Nearby, Residual
-from timesim.hbm.period import contact_forces, forces_of, period_of
+from timesim.hbm.period import contact_forces, forces_of
 from timesim.hbm.scheme import NEGLECTED, Scheme
 from timesim.orbit.fourier import to_coefficients, to_phasors
 
@@ -162,9 +162,8 @@ class _Above:
 
     @classmethod
     def of(cls, balance: Balance, x: Array, frequency: float) -> "_Above":
-        wide, coefficient = _wide(balance), balance.coefficients(x)
-        period = period_of(balance.law, balance.basis, coefficient)
-        done = forces_of(balance.law, wide.basis, period)
+        wide = _wide(balance)
+        done = forces_of(balance.law, wide.basis, balance.period(x))
         phasors = to_phasors(done.coefficient.reshape(3 * balance.num_contacts, -1)).T * balance.force
         linear = wide.linear(frequency)
         closed = 1.0 - done.separation

@@ -27,7 +27,7 @@ from scipy.linalg import block_diag, orth
 
 from timesim.engine.law.cone import ConeLaw
 from timesim.hbm.condensation import Condensation
-from timesim.hbm.period import Basis, basis_of, contact_forces, motion_of, offsets_of
+from timesim.hbm.period import Basis, ClosedPeriod, basis_of, forces_of, motion_of, offsets_of, period_of
 from timesim.hbm.scheme import Scheme, check_model
 from timesim.hbm.tangent import linearised
 from timesim.model.contact_state import require_cone
@@ -162,6 +162,7 @@ class Balance:
         pressed = np.diag(omega**2) + across.T @ (np.diag(self.support)[2::3, None] * across)
         self.slack = self._slack_of(_loose(omega == 0, pressed))
         self.held_by_friction, self.reach = orth(self.slack), self._reach()
+        self._last: tuple[Array, ClosedPeriod] | None = None
 
     def _slack_of(self, loose: Array) -> Array:
         """What a little more stiffness of motions that friction alone holds, shape (M, L), takes from F_0, (3C, 3C).
@@ -252,7 +253,13 @@ class Balance:
 
     def contact_forces(self, x: Array) -> Array:
         """(f1, f2, n) of each contact by their coefficients in units of `force`, shape (C, 3, 2H + 1)."""
-        return contact_forces(self.law, self.basis, self.coefficients(x)).coefficient
+        return forces_of(self.law, self.basis, self.period(x)).coefficient
+
+    def period(self, x: Array) -> ClosedPeriod:
+        """The contacts through a period; the last one is kept, as a solution is looked at more than once."""
+        if self._last is None or not np.array_equal(self._last[0], x):
+            self._last = x.copy(), period_of(self.law, self.basis, self.coefficients(x))
+        return self._last[1]
 
     def has_offset(self, x: Array) -> bool:
         """Whether a contact sticks all along with an offset of its force, which follows the motion."""
