@@ -303,6 +303,11 @@ def test_points_above_the_curves_are_shown() -> None:
     assert compare.overlay(tree).get_ylim()[1] > 3.0
 
 
+def test_a_sweep_of_which_every_point_failed_has_no_place_in_the_legend() -> None:
+    tree = xarray.DataTree.from_dict({"/sweep": _sweep([2.0], height=np.nan), "/hbm": _balance([2.0])})
+    assert not [line for line in compare.overlay(tree).get_lines() if "time integration" in str(line.get_label())]
+
+
 def test_up_and_down_are_told_apart_where_they_coincide() -> None:
     """Each marker lies on its own side of the point."""
     tree = xarray.DataTree.from_dict({"/sweep": _sweep([2.0]), "/hbm": _balance([2.0])})
@@ -528,6 +533,15 @@ def test_surfaces_whatever_is_in_memory(monkeypatch: pytest.MonkeyPatch, tmp_pat
     data = _map(1e-3 * np.add.outer(np.arange(56.0), np.arange(56.0)))
     monkeypatch.setattr(np, "empty", garbage)
     assert [path.stem for path in draw.write(data, tmp_path, element.MAP_PICTURES)] == ["surfaces", "contours"]
+
+
+@pytest.mark.parametrize("varied", ["a", "b"])
+def test_a_map_of_which_one_parameter_varies_is_drawn_over_that(varied: str, tmp_path: Path) -> None:
+    data = _map(1e-3 * np.arange(9.0).reshape((9, 1) if varied == "a" else (1, 9)))
+    assert [path.stem for path in draw.write(data, tmp_path, element.MAP_PICTURES)] == ["coefficients"]
+    (line,) = element.profile(data).lines
+    np.testing.assert_array_equal(line.get_xydata(), np.stack([data[varied], data.f_s[..., 0].values.ravel()], axis=1))
+    assert not draw.write(_map(np.ones((1, 1))), tmp_path, element.MAP_PICTURES)
 
 
 def test_surfaces_and_contours_have_colour_bars() -> None:

@@ -63,7 +63,8 @@ def overlay(
     for where, look in _points(hbm, sweep):
         part = sweep.isel(where)
         y, settled = part[name].sel(point=point, axis=axis).values, part.settled.values > 0
-        _settled_or_hollow(ax, part.frequency.values, y, settled, look)
+        if np.isfinite(y).any():
+            _settled_or_hollow(ax, part.frequency.values, y, settled, look)
         several_cycles(ax, sweep, where, y)
     if name == "amplitude":
         from_zero(ax)

@@ -229,6 +229,15 @@ def surface(data: Dataset, ax: Any = None, *, name: str = "f_s", tangent: str = 
     return ax
 
 
+def profile(data: Dataset, ax: Axes | None = None, *, name: str = "f_s", tangent: str = "t1") -> Axes:
+    """The same over the one parameter that varies."""
+    ax, z = axes(ax), _coefficient(data, name, tangent).ravel()
+    varied = max(parameters(data), key=lambda parameter: data.sizes[parameter])
+    ax.plot(data[varied].values, z, "o-", color=BLUE, ms=3)
+    ax.set(xlabel=_axis_label(data, varied), ylabel=_coefficient_label(data, name, tangent))
+    return ax
+
+
 def _colour_bar(ax: Any, shades: Any, **options: Any) -> None:
     bar = ax.figure.colorbar(shades, ax=ax, **options)
     bar.ax.tick_params(labelsize=7)
@@ -263,9 +272,9 @@ def _coefficient_label(data: Dataset, name: str, tangent: str) -> str:
     return f"{COEFFICIENTS[name]}, {name}{tangent.removeprefix('t')}{unit(data, name)}"
 
 
-def _all_coefficients(data: Dataset, draw: Callable[..., Any], **options: Any) -> Figure | None:
-    """All coefficients along both axes of the contact; no figure if a parameter has only one value."""
-    if min(data.dissipation.shape) < 2:
+def _all_coefficients(data: Dataset, draw: Callable[..., Any], varied: int = 2, **options: Any) -> Figure | None:
+    """All coefficients along both axes of the contact; no figure if not so many parameters have several values."""
+    if sum(size > 1 for size in data.dissipation.shape) != varied:
         return None
     fig, grid = figure(3, 2, **options)
     for ax, (name, tangent) in zip(grid.flat, product(COEFFICIENTS, ("t1", "t2")), strict=True):
@@ -280,4 +289,5 @@ _SPACE: dict[str, Any] = {"width": 10.0, "height": 3.4, "gap": 0.2, "left": 0.3,
 MAP_PICTURES: dict[str, Picture] = {
     "surfaces": partial(_all_coefficients, draw=surface, **_SPACE),
     "contours": partial(_all_coefficients, draw=contour, width=8.0, height=2.7, gap=0.75),
+    "coefficients": partial(_all_coefficients, draw=profile, varied=1, width=8.0, height=2.3),
 }
