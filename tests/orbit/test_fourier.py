@@ -59,7 +59,7 @@ def test_weighted_harmonic_functions(harmonics, count):
     """As samples, and as whether something holds at them."""
     size = 2 * harmonics + 1
     basis = fourier_basis(TURN * np.arange(1, count + 1) / count, size)
-    for weight in (np.random.default_rng(3).normal(size=count), np.arange(count) % 3 == 1, np.ones(count)):
+    for weight in (np.random.default_rng(3).normal(size=count), np.arange(count) % 3 == 1, np.full(count, 2.5)):
         expected = fourier_coefficients(weight[:, None] * basis, 0.0)[:size]
         np.testing.assert_allclose(weighted(weight, size), expected, atol=1e-14)
 
