@@ -71,7 +71,8 @@ def run(
     try:
         execution = Execution(folder=output, resume=resume, cluster=cluster, notice=_notice)
         check_execution(loaded.kind, execution)
-        if checkpoint.is_finished(output, loaded.resolved_yaml(), force=force, resume=resume):
+        before = (output, loaded.resolved_yaml(), loaded.data_fingerprint)
+        if checkpoint.is_finished(*before, force=force, resume=resume):
             print(f"the result in {output} is complete: there is nothing to resume; timesim plot {output} draws it")
             return
         check_folder(output, overwrite=force or resume)

@@ -44,6 +44,19 @@ class Matrices:
     solved: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False, compare=False)
     left_out: dict[tuple[int, ...], np.ndarray] = field(default_factory=dict, repr=False, compare=False)
 
+    def data(self) -> list[list[np.ndarray]]:
+        """The numbers of each matrix: its entries, of a sparse one those that are not 0 and where they are."""
+        given = (matrix for matrix in (self.mass, self.stiffness, self.damping) if matrix is not None)
+        return [_entries(matrix) for matrix in given]
+
+
+def _entries(matrix: Any) -> list[np.ndarray]:
+    if isinstance(matrix, np.ndarray):
+        return [matrix]
+    columns = matrix.tocsc(copy=True)
+    columns.sum_duplicates()
+    return [columns.data, columns.indices, columns.indptr]
+
 
 def read_matrices(source: Path | Mapping[str, Path]) -> Matrices:
     """Read mass, stiffness and, if it is there, damping.

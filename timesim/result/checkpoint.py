@@ -43,6 +43,7 @@ INTERRUPTED = "interrupted"  # the reason of an interrupted campaign begins with
 Result = Mapping[str, np.ndarray]
 """Result of a chunk: arrays by name."""
 
+_OTHER_DATA = "other data, such as a file of matrices that has changed"
 _AGAIN = "choose another folder, or give --force to start anew"
 
 
@@ -85,7 +86,7 @@ class Manifest:
             return f"is cut into other chunks: {first_difference(list(self.chunks), list(now.chunks))}"
         other = [name for name, found in now.chunks.items() if found != self.chunks[name]]
         if other:
-            return f"was begun with other data, such as a file of matrices that has changed: see chunk {other[0]}"
+            return f"was begun with {_OTHER_DATA}: see chunk {other[0]}"
         return None
 
 
@@ -247,20 +248,21 @@ def _empty(folder: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def is_finished(run_folder: Path | str, scene: str, *, force: bool, resume: bool) -> bool:
+def is_finished(run_folder: Path | str, scene: str, data: str = "", *, force: bool, resume: bool) -> bool:
     """Whether a run folder, if it exists, holds the complete result of a resolved scene.
 
-    With ``force`` its contents may be overwritten, with ``resume`` they are to be taken up.
+    ``data`` is the fingerprint of what the scene has read from other files. With ``force`` its contents may be
+    overwritten, with ``resume`` they are to be taken up.
 
     Raises:
         StoreError: the folder holds an unfinished run and neither is given, another run is at work in it, or a run of
-            another scene is to be resumed.
+            another scene, or of other data, is to be resumed.
     """
     folder = Path(run_folder)
     if force and resume:
         raise StoreError("force starts anew and resume goes on with what is there; give one of them")
     if resume:
-        return _is_whole(folder, scene)
+        return _is_whole(folder, scene, data)
     if force:
         return False
     _refuse_orphans(folder / FOLDER_NAME)
@@ -308,7 +310,7 @@ def resuming_helps(run_folder: Path | str, reason: str) -> bool:
     return any(map(_count, folders)) and (missing or INTERRUPTED in reason)
 
 
-def _is_whole(folder: Path, scene: str) -> bool:
+def _is_whole(folder: Path, scene: str, data: str) -> bool:
     """Whether the result of this scene is complete, for a run that is to be resumed."""
     attrs = read(folder)[""].attrs if os.path.exists(folder / RESULT_NAME) else {}
     manifest = Manifest.read(folder / FOLDER_NAME)
@@ -316,4 +318,7 @@ def _is_whole(folder: Path, scene: str) -> bool:
         if begun is not None and begun != scene:
             change = scene_difference(begun, scene)
             raise StoreError(f"{folder / path} is of another scene: {change}; run what it was begun with, {_AGAIN}")
-    return bool(attrs.get("complete"))
+    complete = bool(attrs.get("complete"))
+    if complete and attrs.get("data_fingerprint", data) != data:  # results of earlier versions do not say
+        raise StoreError(f"{folder / RESULT_NAME} is of {_OTHER_DATA}; run what it was begun with, {_AGAIN}")
+    return complete

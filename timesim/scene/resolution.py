@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from timesim.fault import Key, Problem, RuleError, SceneError
+from timesim.fault import Problem, RuleError, SceneError
 from timesim.model.choice import Choice, choice
 from timesim.model.cost import Work
 from timesim.model.model import CONE, Contact, Excitation, Model, Structure
@@ -21,10 +21,11 @@ from timesim.model.promise import PROMISE
 from timesim.model.scales import out_of_range
 from timesim.model.solver import Solver
 from timesim.model.start import rest_start
+from timesim.result.change import fingerprint
 from timesim.scene.file import NO_NUMBER, Kinds, SceneFile, SceneParts, parsed, rule_errors
 from timesim.scene.hbm import balance_of
 from timesim.scene.integration import EndOfRun, InitialResult, start
-from timesim.scene.source import SceneSource, addresses, empty_values, overridden, read
+from timesim.scene.source import SceneSource, empty_values, overridden, read
 from timesim.scene.structure import BuiltStructure, ExcitationSection, Files, FileSection
 from timesim.scene.study import Context, SteadySection, combinations
 from timesim.scene.text import yaml_text
@@ -136,7 +137,13 @@ class Scene:
         plan, model = build.plan(structure), build.model(structure, end)
         if build.errors:
             raise self.source.error(build.errors)
-        return _Built(plan, structure, end, model, self.file.study.lowest_frequency())
+        data = fingerprint([matrices.data() for matrices in self._files.values()], None if end is None else end[1])
+        return _Built(plan, structure, end, model, self.file.study.lowest_frequency(), data)
+
+    @property
+    def data_fingerprint(self) -> str:
+        """Digest of the matrices and of the state that it has read from other files, the same on any machine."""
+        return self._built.data
 
     def resolved_yaml(self) -> str:
         """The scene with overrides and defaults written out; runs from any folder."""
@@ -162,7 +169,7 @@ def _scene(source: SceneSource, kinds: Kinds) -> Scene:
         raise source.error(errors)
     scene = Scene(source, file, kinds)
     scene._built  # noqa: B018  shows what the sections alone cannot see
-    _check_axes(scene)
+    source.check_axes(file.study.varied())
     _check_combinations(scene)
     if not any(str(place[-1]).startswith("structure.") for place in file.study.varied()):
         scene._files.clear()  # they may be large
@@ -193,17 +200,6 @@ def _restored(source: SceneSource, kinds: Kinds, built: "_Built") -> Scene:
     scene = Scene(source, file, kinds)
     scene.__dict__["_built"] = built
     return scene
-
-
-def _check_axes(scene: Scene) -> None:
-    """Refuse a scalar that the study varies twice, as by the name of a contact and by its number."""
-    known: dict[Key, Key] = {}
-    for place in scene.file.study.varied():
-        for key in addresses(scene.source.data, str(place[-1])):
-            other = known.setdefault(key, place)
-            if other != place:
-                rule = f"is the same scalar as {'.'.join(map(str, other))}"
-                raise scene.source.error([RuleError(("study", *place), rule, "name it once")])
 
 
 def _check_combinations(scene: Scene) -> None:
@@ -247,7 +243,8 @@ def _refused(scene: Scene, values: Mapping[str, float], problem: Problem) -> Rul
 class _Built:
     """A scene in numbers, None for what it lacks.
 
-    `end` is what `initial` has read from another run, `lowest` the lowest frequency of the study [Hz].
+    `end` is what `initial` has read from another run, `lowest` the lowest frequency of the study [Hz], `data` the
+    fingerprint of all that was read.
     """
 
     plan: Any
@@ -255,6 +252,7 @@ class _Built:
     end: EndOfRun | None
     model: Model | None
     lowest: float | None
+    data: str
 
 
 class _Build:

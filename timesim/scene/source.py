@@ -51,6 +51,16 @@ class SceneSource:
         problems = [self.problem(error) for error in first.values()]
         return SceneError(sorted(problems, key=lambda problem: (problem.line or 0, problem.key)))
 
+    def check_axes(self, places: Iterable[Key]) -> None:
+        """Refuse a scalar that a study varies twice, as by the name of a contact and by its number."""
+        known: dict[Key, Key] = {}
+        for place in places:
+            for key in addresses(self.data, str(place[-1])):
+                other = known.setdefault(key, place)
+                if other != place:
+                    rule = f"is the same scalar as {'.'.join(map(str, other))}"
+                    raise self.error([RuleError(("study", *place), rule, "name it once")])
+
 
 def dotted(key: Key, data: Any) -> str:
     """Key path as text; an item of a list goes by its name where it has one of its own."""

@@ -52,6 +52,7 @@ def attributes(
     attrs = {
         "timesim_version": version("timesim"),
         "scene": scene.resolved_yaml(),
+        "data_fingerprint": scene.data_fingerprint,
         "title": scene.file.title,
         **unit_names(scene),
         "study": scene.kind,

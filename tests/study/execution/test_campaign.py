@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
@@ -21,6 +22,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.io
+import scipy.sparse
 import toys
 import xarray
 from commands import fill_disk
@@ -697,6 +700,35 @@ def test_a_whole_run_leaves_no_checkpoint(faulty: list[Any], tmp_path: Path):
     assert status == 2
     assert "study.frequency.to was 1.5, is 1.6" in error
     assert (tmp_path / "result.nc").read_bytes() == before
+
+
+@pytest.mark.parametrize("form", [np.asarray, scipy.sparse.csr_array])
+def test_a_whole_run_of_other_matrices_is_not_taken_for_that_of_the_scene(
+    form: Callable[[np.ndarray], Any], faulty: list[Any], tmp_path: Path
+):
+    """The files hold the same names, and the resolved scene the same text; the same matrices may be written again."""
+
+    def write(last: float) -> None:
+        for name, diagonal in (("m", [1.0, 1.0]), ("k", [30.0, last])):
+            scipy.io.mmwrite(tmp_path / f"{name}.mtx", form(np.diag(diagonal)))
+
+    points = "points: {tip: {x: 0, y: 1}}"
+    files = f"file: {{mass: {tmp_path}/m.mtx, stiffness: {tmp_path}/k.mtx}}"
+    structure = ("--set", f"structure={{{files}, damping_ratio: 0.02, {points}}}")
+    run = tmp_path / "run"
+    write(70.0)
+    assert call(run, *structure)[0] == 0
+    before = (run / "result.nc").read_bytes()
+    write(70.0)
+    status, out, _ = call(run, *structure, "--resume")
+    assert (status, "there is nothing to resume" in out) == (0, True)
+    write(71.0)
+    status, out, error = call(run, *structure, "--resume")
+    assert (status, out) == (2, "")
+    assert "result.nc is of other data, such as a file of matrices that has changed; run what it was begun" in error
+    assert (run / "result.nc").read_bytes() == before
+    assert call(run, *structure, "--force")[0] == 0
+    assert call(run, *structure, "--resume")[0] == 0
 
 
 @pytest.mark.parametrize("fault", ["interrupt", "raise"])
