@@ -413,6 +413,12 @@ def test_points_without_an_answer_are_named():
     assert "at 2 points the balance has no stable solution: contacts.pad.preload -4 at 1 to 2 Hz" in text
     assert "at 1 point the motion repeats after several cycles, which the balance cannot show: contacts.pad.pre" in text
     assert "at 1 point the motion did not settle and is left out: contacts.pad.preload 3 at 3 Hz" in text
+    sticking = np.zeros(SHAPE, dtype=bool)
+    sticking[0, 0, 1] = True
+    text = "\n".join(comparison.comparison_lines(replace(points_on(1e-5, missing=2), sticks=sticking)))
+    assert "at 1 point the balance has no stable solution: contacts.pad.preload -4 at 1 Hz" in text
+    offset = "perhaps only because a contact that sticks all the time keeps another free offset there"
+    assert f"at 1 point the balance has no stable solution, {offset}: contacts.pad.preload -4 at 2 Hz" in text
     text = "\n".join(comparison.comparison_lines(replace(points_on(1e-5, missing=2), followed=np.zeros(SHAPE, bool))))
     assert "at 2 points the balance has no solution, as it did not get there" in text
     assert "no stable solution" not in text

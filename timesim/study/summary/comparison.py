@@ -20,6 +20,7 @@ AGREE, NEARLY, WORTH_ASKING = 2e-3, 2e-2, 5e-4
 SHAKEN_DOWN = 1e-5
 # Share of the largest amplitude below which the verdict says that its difference is that of an axis that hardly moves.
 HARDLY = 0.05
+ANOTHER_OFFSET = "a contact that sticks all the time keeps another free offset"
 RANGES = 5  # ranges of frequency that are named for each set of values
 
 
@@ -143,13 +144,14 @@ def comparison_lines(points: Points) -> Iterator[str]:
         yield f"at {near} within {NEAR_FOLD:g} of a fold's frequency they differ by up to {size[close].max():.1e}"
     if points.other_offset.any():
         number, most = counted(points.other_offset.sum(), "point"), size[points.other_offset].max()
-        why = "a contact that sticks all the time keeps another offset, which is free"
         stays = "time integration that begins from the balance's motion stays there"
         places = _places(points, points.other_offset)
-        yield f"at {number} they differ by up to {most:.1e} because {why}: {stays}: {places}"
+        yield f"at {number} they differ by up to {most:.1e} because {ANOTHER_OFFSET}: {stays}: {places}"
     unsettled = ~(points.settled | points.doubled | points.irregular | points.drifts | points.missing)
+    none = points.settled & ~points.solved & points.followed
     for left_out, why in (
-        (points.settled & ~points.solved & points.followed, "the balance has no stable solution"),
+        (none & ~points.sticks, "the balance has no stable solution"),
+        (none & points.sticks, f"the balance has no stable solution, perhaps only because {ANOTHER_OFFSET} there"),
         (points.settled & ~points.solved & ~points.followed, "the balance has no solution, as it did not get there"),
         (points.doubled, "the motion repeats after several cycles, which the balance cannot show"),
         (points.irregular, "the motion does not repeat, being quasi-periodic or irregular, and is left out"),
