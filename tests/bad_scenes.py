@@ -323,7 +323,7 @@ CHANGES = (
     (ELEMENT_MAP, (
         ("study", "  B: [0, 1, 2]\n", "", "must have two axes, not 1", "study:"),
         ("study", "  D: 0.5", "  D: [0, 1]", "must have two axes, not 3", "study:"),
-        ("study.B", "[0, 1, 2]", "[0, 2, 1]", "must ascend", "B: [0, 2, 1]"),
+        ("study.B", "[0, 1, 2]", "[0, 2, 1]", "must ascend, each value once", "B: [0, 2, 1]"),
         ("study.B", "[0, 1, 2]", "[-1, 1]", "must not be negative", "B: [-1, 1]"),
         ("study.A.to", "to: 4", "to: -4", "must be larger than from", "A: {from"),
         ("study.A.num", "num: 5", "num: 1", "must be >= 2", "A: {from"),

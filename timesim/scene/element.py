@@ -203,7 +203,7 @@ class ElementMap(ElementSection):
                 raise refuse("must not be negative", key=(key,), value=min(values))
         for key in axes:
             if np.any(np.diff(given[key]) <= 0):
-                raise refuse("must ascend", key=(key,))
+                raise refuse("must ascend, each value once", key=(key,), value=given[key])
         if (count := len(given[axes[0]]) * len(given[axes[1]])) > MAX_POINTS:
             raise refuse(f"must have at most {MAX_POINTS} points, not {count}")
         return self
