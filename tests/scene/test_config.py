@@ -5,6 +5,7 @@ import json
 import re
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -1005,6 +1006,32 @@ def test_a_key_of_another_section_is_sent_there():
     assert "each of forces and modal_force has its own" in refused("excitation.phase_deg")
     assert "it belongs in frequency" in refused("study.step")
     assert "it belongs beside frequency, not in it" in refused("study.frequency.refine")
+
+
+def test_keys_that_change_nothing_are_named_unless_they_are_the_default(tmp_path: Path):
+    static = {"initial": "static"}
+
+    def unused(changes: Mapping[str, Any], scene: Path) -> list[str]:
+        said = (line.split(" is not used: in a study of kind ") for line in warnings_of(load_scene(scene, changes)))
+        return [": ".join(line) for line in said if len(line) == 2 and line[0] != "excitation.frequency"]
+
+    oscillator = CONFIGS / "oscillator.yaml"
+    balance = {"study": {"kind": "hbm", "frequency": {"from": 1.0, "to": 1.5}}}
+    sweep = {"study": {"kind": "sweep", "frequency": {"values": [1.0]}}}
+    tried = {"study": {"kind": "tradeoff"}}
+    assert unused(static, oscillator) == unused(sweep | static, oscillator) == []
+    assert unused(balance | static, oscillator) == ["initial: hbm study.start says where the curves begin"]
+    rk4 = {"solver": {"method": "rk4"}}
+    assert unused(balance | rk4, oscillator) == ["solver.method: hbm nothing is integrated in time"]
+    assert unused(tried | rk4, oscillator) == ["solver.method: tradeoff all methods are tried"]
+    quick = {"solver": {"max_steps": 5000, "estimate_error": False}}
+    assert unused(tried | quick, oscillator) == unused(quick, oscillator) == []
+    assert unused(sweep | quick, oscillator) == ["solver.estimate_error: sweep no error is estimated"]
+    for scene in (oscillator, CONFIGS / "figure4.yaml"):
+        for study in ({}, balance, tried) if scene == oscillator else ({},):
+            written = tmp_path / "scene.yaml"
+            written.write_text(load_scene(scene, study).resolved_yaml())
+            assert unused({}, written) == [], "every default stands there"
 
 
 def test_a_contact_under_prescribed_motion_has_neither_structure_nor_solver():

@@ -16,7 +16,8 @@ from timesim.model.reduction import distant_stops, reduction_of
 from timesim.result.label import attributes, counted, first_few, in_words, with_unit
 from timesim.scene.contact import ContactSection
 from timesim.scene.file import SceneFile
-from timesim.scene.hbm import balance_of
+from timesim.scene.hbm import HbmPlan, balance_of
+from timesim.scene.integration import SolverSection
 from timesim.scene.report.cost import duration, sweep_cost
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SteadySection, StudySection, SweepSection
@@ -46,13 +47,7 @@ FEW_RUNS = 4  # at reference for which a tradeoff should have time
 def warnings_of(scene: Scene) -> Iterator[str]:
     """What is accepted in a scene but may not be intended."""
     file = scene.file
-    frequency = file.excitation.frequency if file.excitation else None
-    if not file.study.requires:
-        unused = ("structure", "excitation", "initial", *([] if file.study.uses_solver else ["solver"]))
-        for key in (key for key in unused if key in scene.source.data):
-            yield f"{key} is not used: in a study of kind {file.study.kind} the motion of the contact is given"
-    elif frequency is not None and not file.study.uses_frequency:
-        yield f"excitation.frequency is not used: in a study of kind {file.study.kind} its own frequencies rule"
+    yield from (f"{key} is not used: in a study of kind {file.study.kind} {why}" for key, why in _unused(scene))
     for contact in file.contacts:
         if contact.idle_stiffness and np.any(contact.stiffness_matrix()):
             yield f"contacts.{contact.name}.tangential_stiffness has no effect without friction"
@@ -80,6 +75,30 @@ def warnings_of(scene: Scene) -> Iterator[str]:
         yield f"{far}: frequencies are in Hz, and modes left out would answer there"
     if ratio > FAR_ABOVE and not hasattr(file.structure, "modes"):
         yield from _modes_to_spare(model, highest)
+
+
+def _unused(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Keys that are given, other than by default, and change nothing, each with what rules instead."""
+    study, given, plan = scene.file.study, scene.source.data, scene.plan
+    usual, own = SolverSection.model_validate({}), scene.file.solver
+    solver = [key for key in given.get("solver") or {} if getattr(own, key) != getattr(usual, key)]
+    started = scene.file.initial != "rest"
+    if not study.requires:
+        idle = {"structure": "structure" in given, "excitation": "excitation" in given, "initial": started}
+        idle["solver"] = bool(solver) and not study.uses_solver
+        yield from ((key, "the motion of the contact is given") for key, found in idle.items() if found)
+        return
+    if "frequency" in (given.get("excitation") or {}) and not study.uses_frequency:
+        yield "excitation.frequency", "its own frequencies rule"
+    if isinstance(plan, HbmPlan) and started:
+        yield "initial", "study.start says where the curves begin"
+    for key in solver:
+        if isinstance(plan, TradeoffPlan) and key not in ("max_steps", "estimate_error"):
+            yield f"solver.{key}", "all methods are tried"
+        elif isinstance(plan, HbmPlan) and plan.passing is None:
+            yield f"solver.{key}", "nothing is integrated in time"
+        elif key == "estimate_error" and not isinstance(plan, Schedule | TradeoffPlan):
+            yield f"solver.{key}", "no error is estimated"
 
 
 def _oblique(contact: ContactSection) -> Iterator[str]:
