@@ -5,7 +5,7 @@ import pytest
 
 from timesim.hbm.condensation import Condensation
 from timesim.hbm.continuation.bordered import Bordered
-from timesim.hbm.tangent import LINKS, _chained
+from timesim.hbm.tangent.chain import LINKS, chained
 
 
 @pytest.mark.parametrize("count", [0, 1, LINKS - 1, LINKS, LINKS + 1, 3 * LINKS + 2])
@@ -14,7 +14,7 @@ def test_derivatives_are_chained_as_one_step_after_the_other(count):
     expected = rows.copy()
     for k in range(count):
         expected[k + 1] += step[k] @ expected[k]
-    _chained(step, rows)
+    chained(step, rows)
     np.testing.assert_allclose(rows, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
 
 

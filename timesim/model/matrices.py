@@ -55,6 +55,7 @@ def _entries(matrix: Any) -> list[np.ndarray]:
         return [matrix]
     columns = matrix.tocsc(copy=True)
     columns.sum_duplicates()
+    columns.eliminate_zeros()
     return [columns.data, columns.indices, columns.indptr]
 
 
