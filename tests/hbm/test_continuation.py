@@ -293,14 +293,6 @@ def test_no_corner_is_looked_for_ahead_of_a_long_step():
     assert corner.around_corner(tracker.corrector, CONTROLS, point, 0.02) is None
 
 
-def test_a_step_right_after_one_that_was_too_long_is_no_longer():
-    tracker = _PathTracker(Circle(), np.array([1.0]), Controls(size=1.0, max_step=1.0), 0.0, 1.0, 0.0)
-    point = tracker.corrector.damped_newton(tracker.corrector.in_units(np.array([1.0]), 0.0), tracker.ahead)
-    short, long = (tracker._step(point, None, length) for length in (0.21, 0.63))
-    assert (short.length, short.next_length) == pytest.approx((0.21, 0.25), abs=2e-3)
-    assert (long.length, long.next_length) == pytest.approx((0.21, 0.21))
-
-
 class Reversal:
     """p = x up to x = 0, then p = -3 x: the curve turns by more than a right angle at once; y = x + p goes along."""
 

@@ -187,7 +187,7 @@ class _PathTracker:
 
     def _step(self, point: CurvePoint, before: tuple[CurvePoint, float] | None, length: float) -> Step | None:
         """To the next point; None if there is none."""
-        asked = length = max(min(length, self._longest(point)), self.controls.min_step)
+        length = max(min(length, self._longest(point)), self.controls.min_step)
         while length >= self.controls.min_step:
             try:
                 guess = predicted(point, before, length)
@@ -207,8 +207,6 @@ class _PathTracker:
                 length /= 3
                 continue
             fastest = GROWTH if length > self.controls.first_step else CATCHING_UP
-            if length < asked:  # where a step was too long the next one seldom may be
-                fastest = 1.0
             growth = np.clip(np.sqrt(self.controls.turn / max(turn, 1e-9)), 0.5, fastest)
             if new.iterations > SLOW:
                 growth = min(growth, 0.7)
