@@ -187,18 +187,24 @@ LONG = load_scene(oscillator_scene(preload=-4.0) | {"study": STUDY | STEEP})
 
 @pytest.fixture
 def takes_long(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, tuple[Any, ...]]]:
-    """A curve takes long from its second solution on; the functions that processes are given, and with what."""
+    """A curve takes long from its second solution on; what is done aside, and with what."""
     monkeypatch.setattr(other_end, "WORK", 60)
     monkeypatch.setattr(aside, "WORK", 60)
     monkeypatch.setattr(evaluation, "PIECE", 16)
     given: list[tuple[str, tuple[Any, ...]]] = []
-    own = Processes.submit
+    part, piece = aside.Aside.part, aside.Evaluation._next
 
-    def submit(self: Processes, seen: Any, function: Any, *args: Any) -> Any:
-        given.append((getattr(function, "func", function).__name__, args))
-        return own(self, seen, function, *args)
+    def asked(self: aside.Aside, *args: Any) -> Any:
+        given.append(("part", args))
+        return part(self, *args)
 
-    monkeypatch.setattr(Processes, "submit", submit)
+    def evaluated(self: aside.Evaluation) -> Any:
+        if (found := piece(self)) is not None:
+            given.append(("piece", found[1][1]))
+        return found
+
+    monkeypatch.setattr(aside.Aside, "part", asked)
+    monkeypatch.setattr(aside.Evaluation, "_next", evaluated)
     return given
 
 
@@ -207,7 +213,7 @@ def test_processes_take_a_part_of_a_curve_that_takes_long(two: Processes, takes_
     assert not takes_long
     both, _, reason = followed(LONG, LONG.plan, Execution(processes=two))
     assert reason is None
-    assert [name for name, _ in takes_long] == ["followed_part"] + ["signed"] * (len(takes_long) - 1)
+    assert [name for name, _ in takes_long] == ["part"] + ["piece"] * (len(takes_long) - 1)
     evaluated = np.concatenate([solutions.p for _, (_, solutions) in takes_long[1:]])
     np.testing.assert_array_equal(np.sort(evaluated), np.sort(both.frequency))
     folds = [data.frequency.values[data.fold.values > 0] for data in (both, alone)]
@@ -266,21 +272,28 @@ def test_solutions_are_evaluated_while_the_other_part_is_waited_for(
     monkeypatch.setattr(evaluation, "OPEN", 4)
     monkeypatch.setattr(evaluation, "PIECE", 4)
     part, waits, pieces = Future[Any](), Event(), 0
+    one_here = aside.Evaluation.one_here
+
+    def here(own: aside.Evaluation) -> bool:
+        nonlocal pieces
+        done = one_here(own)
+        pieces += done and not part.done()
+        if done:
+            waits.set()
+        return done
 
     def end(function: Any, args: Any) -> None:
         waits.wait(60.0)
         part.set_result(function(*args))
 
     def submit(own: Processes, seen: Any, function: Any, *args: Any) -> Future[Any]:
-        nonlocal pieces
         if function is aside.followed_part:
             Thread(target=end, args=(function, args)).start()
             return part
-        pieces += not part.done()
-        waits.set()
         return at_once_here(own, seen, function, *args)
 
     monkeypatch.setattr(Processes, "submit", submit)
+    monkeypatch.setattr(aside.Evaluation, "one_here", here)
     with Processes(2) as own:
         data, _, reason = followed(LONG, LONG.plan, Execution(processes=own))
     assert reason is None

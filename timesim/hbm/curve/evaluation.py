@@ -21,8 +21,8 @@ from timesim.hbm.scheme import coarsest
 from timesim.hbm.stability import checked_multipliers, grows, sign_with_offsets_kept, with_offsets_kept
 from timesim.orbit.fourier import half_range
 
-PIECE = 128
-"""Solutions that are evaluated at a time: one to three seconds of work where it takes long."""
+PIECE = 64
+"""Solutions that are evaluated at a time: one or two seconds of work where it takes long."""
 OPEN = 16
 """Last solutions of a curve that grows among which a fold may still be found."""
 

@@ -60,11 +60,11 @@ class Aside:
         self._look = look
         self._number += 1
         if self._parts:
-            self._use_room(1, look=self._number % LOOKED == 0)
+            self._use_room(look=self._number % LOOKED == 0)
 
-    def _use_room(self, here: int, *, look: bool) -> None:
-        """Evaluate where a process has nothing to do, beside so many works of this one; look for more to evaluate."""
-        room = self.processes.workers - here - sum(part.under_way for part, *_ in self._parts)
+    def _use_room(self, *, look: bool) -> None:
+        """Evaluate where a process has nothing to do, beside this one; look for more to evaluate."""
+        room = self.processes.workers - 1 - sum(part.under_way for part, *_ in self._parts)
         if look and room > self._evaluation.under_way:
             self._look()
         with suppress(BrokenExecutor):
@@ -72,12 +72,13 @@ class Aside:
 
     def _wait_for(self, part: Future[Curve]) -> None:
         """Wait for a part, and evaluate meanwhile."""
-        look = True
+        if not part.done():
+            self._look()
         while not part.done():
-            self._use_room(0, look=look)
-            look = False
-            works: list[Future[Any]] = [part, *self._evaluation.running]
-            wait(works, return_when=FIRST_COMPLETED)
+            self._use_room(look=False)
+            if not self._evaluation.one_here():
+                works: list[Future[Any]] = [part, *self._evaluation.running]
+                wait(works, return_when=FIRST_COMPLETED)
 
     def each(self, work: Work, pieces: Sequence[Piece]) -> list[Signed]:
         """The pieces of the whole curve, by processes if that takes long."""
@@ -114,14 +115,31 @@ class Evaluation:
         Raises:
             BrokenExecutor: a process was killed.
         """
-        while self.under_way < room and self._waiting:  # in this order: it forgets those that are done
+        while self.under_way < room and (asked := self._next()) is not None:  # in this order: it forgets those done
+            key, (work, piece) = asked
+            self._begun[key] = future = self.processes.submit(unseen, work, *piece)
+            self.running.add(future)
+
+    def one_here(self) -> bool:
+        """Evaluate one of the pieces that wait by this process; False if none does."""
+        if (asked := self._next()) is None:
+            return False
+        key, (work, piece) = asked
+        done = Future[Signed]()
+        done.set_result(work(*piece))
+        self._begun[key] = done
+        return True
+
+    def _next(self) -> tuple[bytes, tuple[Work, Piece]] | None:
+        """The next of the pieces that wait, and its key, if it has not begun."""
+        while self._waiting:
             work, piece = self._waiting.popleft()
             if (key := _key(piece)) not in self._begun:
-                self._begun[key] = future = self.processes.submit(unseen, work, *piece)
-                self.running.add(future)
+                return key, (work, piece)
+        return None
 
     def all_of(self, work: Work, pieces: Sequence[Piece]) -> list[Signed]:
-        """All of these, those that no process has evaluated by this one.
+        """All of these, by this process as well.
 
         Raises:
             KeyboardInterrupt: after the processes have stopped.
@@ -130,8 +148,9 @@ class Evaluation:
             with suppress(BrokenExecutor):
                 self.add(work, pieces)
                 while self._waiting or self.under_way:
-                    self.go_on(self.processes.workers)
-                    wait(self.running, return_when=FIRST_COMPLETED)
+                    self.go_on(self.processes.workers - 1)
+                    if not self.one_here():
+                        wait(self.running, return_when=FIRST_COMPLETED)
         except KeyboardInterrupt:
             self.processes.give_up(self.running)
             raise
