@@ -12,7 +12,7 @@ from timesim.model.solver import NEVER, SHOOT, Criterion
 from timesim.orbit.settling import Chain, steady_states
 from timesim.result.state import settled_points, states_in
 from timesim.study.registry import carry_out, load_scene
-from timesim.study.summary.drift import run_lines
+from timesim.study.summary.transient import drift_lines
 
 pytestmark = pytest.mark.long
 
@@ -90,7 +90,7 @@ def moved_on(steps: np.ndarray, vibration: float = 1.0, samples: int = 4) -> lis
         {"displacement": (("time", "point", "axis"), x)}, {"point": ["sled"], "axis": list("xyz")}, {"complete": 1}
     )
     plan: Any = SimpleNamespace(phases=[(1.0, steps.size)], samples_per_cycle=samples)
-    return list(run_lines(data, plan, np.zeros(1)))
+    return list(drift_lines(data, plan, np.zeros(1)))
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ from timesim.result.netcdf import save
 from timesim.scene import hbm as scene_hbm
 from timesim.scene.report import describe
 from timesim.study import registry as plot
-from timesim.study.curves import collection, samples
+from timesim.study.curves import collection
 from timesim.study.curves.collection import Curves
 from timesim.study.execution.campaign import Execution
 from timesim.study.hbm import study as followed_study
@@ -569,9 +569,8 @@ def test_a_curve_whose_samples_prove_too_few_is_given_up_on_its_way(monkeypatch:
         looked_at.append((curve.frequency.size, float(curve.frequency[-1])))
         return with_more_samples(model_at, curve, schemes)
 
-    monkeypatch.setattr(samples, "CHECKED", 3)
-    monkeypatch.setattr(samples, "with_more_samples", counted)
-    monkeypatch.setattr(collection, "with_more_samples", counted)
+    monkeypatch.setattr(hbm_convergence, "CHECKED", 3)
+    monkeypatch.setattr(hbm_convergence, "with_more_samples", counted)
     chosen = timesim.run(scene(time_samples="auto", **narrow))
     np.testing.assert_array_equal(chosen.amplitude, enough.amplitude)
     sizes, frequencies = zip(*looked_at, strict=True)

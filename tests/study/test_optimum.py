@@ -13,14 +13,13 @@ from systems import oscillator
 import timesim
 from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.settling import Chain, steady_states
-from timesim.orbit.steady_state import Orbit, without_orbit
+from timesim.orbit.steady_state import Orbit, blank_columns, without_orbit
 from timesim.picture import optimum as plot_optimum
 from timesim.result.file import StoreError
 from timesim.scene.study import SweepPlan
 from timesim.scene.sweep import OptimumPlan
 from timesim.study import optimum
 from timesim.study import registry as plot
-from timesim.study.columns import blank_columns
 from timesim.study.execution.campaign import Chunk, Execution
 from timesim.study.optimum import Peaks, Response, SearchError, _peak, data_of
 from timesim.study.registry import carry_out, load_scene

@@ -7,6 +7,7 @@ largest amplitude of the motion.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from timesim.hbm.adaptive import left_out, tail
 from timesim.hbm.balance import Array, Balance
 from timesim.hbm.continuation import Bordered, Controls, Nearby, solve
-from timesim.hbm.curve import HbmCurve
+from timesim.hbm.curve import HbmCurve, SoFar, Watch
 from timesim.hbm.scheme import MIN_SAMPLES, Scheme, coarsest, highest_excited
 from timesim.model.model import Model
 from timesim.orbit.fourier import half_range
@@ -34,6 +35,8 @@ SAMPLED, LOOKED_AT = 1e-3, 12
 STEEPEST = 0.1
 # How many times as many samples are taken where they are too few, and the most that the program chooses.
 FINER, MOST_SAMPLES = 4, 2048
+# Solutions of a curve that grows after which its samples are checked at one.
+CHECKED = 50
 
 
 def looked_at(curve: HbmCurve) -> NDArray[np.int64]:
@@ -83,6 +86,29 @@ def with_more_samples(
     if most or sampling_error(model_at, curve, schemes, looked_at(curve)) <= SAMPLED:
         return None
     return tuple(_finer(scheme, MOST_SAMPLES) for scheme in schemes)
+
+
+class TooFewSamplesError(Exception):
+    """A curve needs more samples, those of the schemes: it would be followed again anyway."""
+
+    def __init__(self, schemes: tuple[Scheme, ...]):
+        super().__init__(schemes)
+        self.schemes = schemes
+
+
+def checking_samples(model_at: Callable[[float], Model], schemes: tuple[Scheme, ...], watch: Watch) -> Watch:
+    """What watches a curve by some schemes, and gives it up by a `TooFewSamplesError` where their samples are too few.
+
+    ``model_at``: the model for a value of the parameter of the curve.
+    """
+    number = count(1)
+
+    def seen(share: float, so_far: SoFar) -> None:
+        if next(number) % CHECKED == 0 and (finer := with_more_samples(model_at, so_far(1), schemes)) is not None:
+            raise TooFewSamplesError(finer)
+        watch(share, so_far)
+
+    return seen
 
 
 def _finer(scheme: Scheme, most: int) -> Scheme:

@@ -1,7 +1,7 @@
 """A steady state: amplitude, states of the contacts, stability, the state from which a run goes on; as arrays too."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any, TypeVar
 
@@ -75,28 +75,8 @@ class Orbit:
 
 def without_orbit(model: Model, reason: str, cycles: int = 0) -> Orbit:
     """Placeholder for a steady state that could not be computed."""
-    contacts, places = model.num_contacts, (len(model.structure.points), 3)
-
-    def unknown(*shape: int) -> np.ndarray:
-        return np.full(shape, np.nan)
-
-    return Orbit(
-        end=model.start,
-        amplitude=unknown(*places),
-        band=unknown(2, *places),
-        cycles=cycles,
-        period=0,
-        slip_share=unknown(contacts),
-        separation_share=unknown(contacts),
-        phasor=unknown(HARMONICS + 1, *places).astype(complex),
-        dissipated_power=unknown(contacts),
-        floquet=unknown(1),
-        cycle_steps=np.nan,
-        cycle_transitions=unknown(contacts),
-        drift=unknown(*places),
-        settled_to=np.nan,
-        reason=reason,
-    )
+    blank = orbit_of(blank_columns(model), (), model.start.phase)
+    return replace(blank, end=model.start, cycles=cycles, irregular=False, reason=reason)
 
 
 # Two motions
@@ -156,6 +136,40 @@ NUMBERS = ("cycles", "period", "settled_to", "irregular", "cycle_steps")
 COLUMNS = (*ARRAYS, *NUMBERS, "settled", "floquet_max", "reason", *START)
 
 
+# Dimensions of the quantities of a point after those of the sweep, and values for points that were not computed, where
+# these are not NaN.
+TAILS = {
+    **dict.fromkeys(("amplitude", "phase_deg", "drift"), ("point", "axis")),
+    **dict.fromkeys(("phasor", "harmonic_amplitude", "harmonic_cos", "harmonic_sin"), ("harmonic", "point", "axis")),
+    "band": ("band", "point", "axis"),
+    **dict.fromkeys(("slip_share", "separation_share", "dissipated_power", "cycle_transitions"), ("contact",)),
+    **dict.fromkeys(("end_displacement", "end_velocity"), ("mode",)),
+    "end_slip": ("contact", "tangent"),
+    "end_state": ("contact",),
+}
+BLANK: dict[str, tuple[Any, type]] = {
+    **dict.fromkeys(("settled", "cycles", "period", "irregular"), (0, np.int32)),
+    "end_state": (-1, np.int8),
+    "phasor": (np.nan, complex),
+    "reason": ("", object),
+}
+
+
+def blank_columns(model: Model, *shape: int) -> dict[str, np.ndarray]:
+    """Columns of points that were not computed; ``shape`` is that of the points."""
+    sizes, arrays = sizes_of(model), dict[str, np.ndarray]()
+    for name in COLUMNS:
+        fill, kind = BLANK.get(name, (np.nan, float))
+        arrays[name] = np.full((*shape, *(sizes[dim] for dim in TAILS.get(name, ()))), fill, dtype=kind)
+    return arrays
+
+
+def sizes_of(model: Model) -> dict[str, int]:
+    """Lengths of the dimensions that a model determines, or that are the same everywhere."""
+    own = {"point": len(model.structure.points), "contact": model.num_contacts, "mode": model.structure.num_modes}
+    return own | {"axis": 3, "band": 2, "tangent": 2, "harmonic": HARMONICS + 1}
+
+
 def columns_of(orbits: Sequence[Sequence[Orbit]]) -> dict[str, np.ndarray]:
     """Steady states as arrays, by chain and place along it; of the multipliers the largest only."""
     values: dict[str, Callable[[Orbit], Any]] = {
@@ -167,13 +181,13 @@ def columns_of(orbits: Sequence[Sequence[Orbit]]) -> dict[str, np.ndarray]:
     return {name: np.array([[value(orbit) for orbit in own] for own in orbits]) for name, value in values.items()}
 
 
-def end_of(columns: Columns, place: tuple[int, int], phase: float) -> Start:
+def end_of(columns: Columns, place: tuple[int, ...], phase: float) -> Start:
     """The state at the end of a cycle of one of the steady states, the excitation then at a phase [rad]."""
     displacement, velocity, slip, state = (np.asarray(columns[name][place]) for name in START)
     return Start(displacement, velocity, slip, state, phase)
 
 
-def orbit_of(columns: Columns, place: tuple[int, int], phase: float) -> Orbit:
+def orbit_of(columns: Columns, place: tuple[int, ...], phase: float) -> Orbit:
     """The inverse of `columns_of`; of the multipliers the largest only."""
     value = {name: columns[name][place] for name in ARRAYS} | {name: columns[name][place].item() for name in NUMBERS}
     largest, reason = np.array([columns["floquet_max"][place]]), str(columns["reason"][place]) or None

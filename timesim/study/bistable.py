@@ -18,14 +18,13 @@ from timesim.model.solver import NEVER, Criterion, Solver
 from timesim.orbit.fourier import phase_deg
 from timesim.orbit.jump import Watched
 from timesim.orbit.settling import Chain, warm_up
-from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of
+from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of, sizes_of
 from timesim.orbit.two_motions import UP, RangeSearch, ranges_of
 from timesim.orbit.two_motions.basin import LOWER, UPPER, explore, shares
 from timesim.result.dataset import dataset
 from timesim.result.label import counted
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import BistablePlan
-from timesim.study.columns import sizes_of
 from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import CURVE, Phases
 from timesim.study.execution.worker import each

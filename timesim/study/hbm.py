@@ -17,7 +17,6 @@ from timesim.scene.study import combinations
 from timesim.study.curves.collection import Curves
 from timesim.study.curves.follow import follow_all
 from timesim.study.curves.kept import kept_curves
-from timesim.study.curves.record import solutions
 from timesim.study.execution.campaign import INTERRUPTED, Execution
 from timesim.study.execution.progress import Phases
 from timesim.study.outcome import Outcome, attributes
@@ -57,7 +56,7 @@ def followed(
     attrs = attributes(scene, str(curves.scheme), compiling, seconds, reason, integrated=False)
     if curves.notes:
         attrs["notes"] = "\n".join(curves.notes)
-    return solutions(curves, attrs, refined), curves, reason
+    return curves.record(attrs, refined), curves, reason
 
 
 def _sets(curves: Curves) -> list[Any]:
@@ -83,7 +82,7 @@ def left_out(scene: Scene, plan: HbmPlan, reason: str = NOT_BEGUN) -> tuple[Data
     """The same where nothing is followed."""
     curves = Curves(scene, plan)
     attrs = attributes(scene, str(curves.scheme), 0.0, 0.0, reason, integrated=False)
-    return solutions(curves, attrs), curves, reason
+    return curves.record(attrs), curves, reason
 
 
 def compile_beside(scene: Scene, plan: HbmPlan) -> None:

@@ -21,13 +21,12 @@ from timesim.fault import SceneError
 from timesim.model.model import Model
 from timesim.model.solver import Solver
 from timesim.orbit.settling import Chain, warm_up
-from timesim.orbit.steady_state import COLUMNS, Orbit, columns_of
+from timesim.orbit.steady_state import COLUMNS, Orbit, blank_columns, columns_of
 from timesim.result.dataset import Arrays
 from timesim.result.file import StoreError
 from timesim.result.label import counted
 from timesim.scene.resolution import Scene
 from timesim.scene.sweep import OptimumPlan
-from timesim.study.columns import blank_columns
 from timesim.study.execution.campaign import INTERRUPTED, Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import Phases
 from timesim.study.outcome import Outcome, attributes

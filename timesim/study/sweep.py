@@ -19,13 +19,13 @@ from timesim.model.model import Model
 from timesim.model.solver import Criterion, Solver
 from timesim.orbit.jump import Stretch, Watched, jumps_of, steps_of, suspects
 from timesim.orbit.settling import Chain, GivenUpError, SteadyStates, steady_states, warm_up
-from timesim.orbit.steady_state import COLUMNS, Columns, Orbit, columns_of, end_of, orbit_of
+from timesim.orbit.steady_state import COLUMNS, Columns, Orbit, blank_columns, columns_of, end_of, orbit_of
 from timesim.result.coordinate import most_friction
 from timesim.result.dataset import Arrays, dataset
 from timesim.result.label import counted
 from timesim.scene.resolution import Scene
 from timesim.scene.study import SweepPlan, combinations
-from timesim.study.columns import blank_columns, variables_of
+from timesim.study.columns import variables_of
 from timesim.study.execution.campaign import Chunk, Execution, Result, carry_through
 from timesim.study.execution.progress import Phases
 from timesim.study.execution.worker import UnfinishedError, each, halted, point_done

@@ -27,9 +27,8 @@ from timesim.study.execution.campaign import Execution
 from timesim.study.execution.interrupts import Interrupts
 from timesim.study.outcome import Outcome, attributes
 from timesim.study.recorder import Recorder, contact_forces
-from timesim.study.summary.drift import run_lines
 from timesim.study.summary.effort import effort_lines
-from timesim.study.summary.transient import transient_lines
+from timesim.study.summary.transient import drift_lines, transient_lines
 
 SLIPPERY = next(line.largest for line in TABLE if line.method == "exponential")
 """Tolerance from which on collocation begins a run anew: most often slip spends the budget."""
@@ -73,7 +72,7 @@ def _study(scene: Scene, execution: Execution) -> Outcome:
             break
         done = _doubted(again, promise)
     record = _record(scene, done, time.perf_counter() - clock - done.compiling).assign_attrs(more)
-    lines += [*transient_lines(record, scene.plan), *run_lines(record, scene.plan, scene.model().structure.frequency)]
+    lines += [*transient_lines(record, scene.plan), *drift_lines(record, scene.plan, scene.model().structure.frequency)]
     lines += effort_lines(record, scene.model(), done.solver)
     return Outcome({"": record}, done.reason, tuple(lines))
 

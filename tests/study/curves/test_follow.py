@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from systems import oscillator_scene
 
-from timesim.hbm import scheme
+from timesim.hbm import convergence, scheme
 from timesim.hbm.continuation import Controls, Curve, Ending, other_end
 from timesim.hbm.curve import evaluation
 from timesim.result.checkpoint import chunks_done
 from timesim.result.file import StoreError
 from timesim.study.compare import matched
-from timesim.study.curves import aside, collection, follow, samples
+from timesim.study.curves import aside, follow
 from timesim.study.curves.collection import Curves
 from timesim.study.curves.kept import KeptCurves
 from timesim.study.execution.campaign import Execution
@@ -368,8 +368,8 @@ def test_too_few_samples_that_another_process_finds_end_both_parts(
     """Here no solution is checked on its way, and there every third: the curve is followed again at once."""
     monkeypatch.setattr(scheme, "ENOUGH_SAMPLES", 24)
     monkeypatch.setattr(scheme, "SAMPLES_PER_WAVE", 4)
-    monkeypatch.setattr(samples, "CHECKED", 3)
-    monkeypatch.setattr(collection, "checking_samples", lambda model_at, schemes, watch: watch)
+    monkeypatch.setattr(convergence, "CHECKED", 3)
+    monkeypatch.setattr(convergence, "checking_samples", lambda model_at, schemes, watch: watch)
     judged: list[int] = []
     own = Curves._with_more_samples
     monkeypatch.setattr(Curves, "_with_more_samples", lambda *asked: (judged.append(1), own(*asked))[1])

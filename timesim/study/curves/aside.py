@@ -9,10 +9,10 @@ from typing import Any, cast
 import numpy as np
 
 from timesim.hbm.continuation import WORK, Controls, Curve, part_of
+from timesim.hbm.convergence import TooFewSamplesError, checking_samples
 from timesim.hbm.curve import HbmCurve, Piece, Pieces, Signed, Watch, Work, each_here, left_part, part_of_curve
 from timesim.hbm.scheme import Scheme
 from timesim.model.model import Model
-from timesim.study.curves.samples import TooFewSamplesError, checking_samples
 from timesim.study.execution.processes import Processes, unseen
 from timesim.study.execution.worker import halted, point_done
 

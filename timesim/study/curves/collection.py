@@ -7,19 +7,21 @@ from functools import partial
 from typing import Any, Self
 
 import numpy as np
+from xarray import Dataset
 
 from timesim.engine.status import RunError
 from timesim.fault import RuleError
+from timesim.hbm import convergence
 from timesim.hbm.branches import SettledMotion, curves_from_ends, isolated_curves
 from timesim.hbm.continuation import Ending
-from timesim.hbm.convergence import FINER, SAMPLED, Known, left_to_samples, neglected, with_more_samples
 from timesim.hbm.curve import HbmCurve, Watch, hbm_curve
 from timesim.hbm.parameter import parameter_curve
 from timesim.hbm.scheme import NEGLECTED, NOTED, Scheme, highest_excited
 from timesim.model.model import Model
 from timesim.orbit.cycle import modal_coefficients
-from timesim.orbit.steady_state import switches
+from timesim.orbit.steady_state import TAILS, sizes_of, switches
 from timesim.result.coordinate import most_friction
+from timesim.result.dataset import dataset
 from timesim.result.label import counted, in_words
 from timesim.result.state import SavedStates, SweepPoint, settled_points, start_of
 from timesim.scene.hbm import HbmPlan
@@ -27,13 +29,17 @@ from timesim.scene.resolution import Scene
 from timesim.scene.study import combinations
 from timesim.study.curves.aside import Aside
 from timesim.study.curves.kept import Found
-from timesim.study.curves.samples import TooFewSamplesError, checking_samples
 from timesim.study.execution.processes import Processes
 from timesim.study.outcome import DOUBT
+from timesim.study.summary.curve import convergence_lines
 
 Sweep = tuple[SavedStates, Mapping[str, float | str]]
 """The states of a sweep, and the values along its axes that select points."""
 
+OF_SOLUTION = ("frequency", "stable", "fold", "branch", "floquet_max", "floquet_phase_deg", "closure")
+OF_MOTION = ("amplitude", "phase_deg", "harmonic_amplitude", "harmonic_cos", "harmonic_sin")
+OF_CONTACTS = ("slip_share", "separation_share", "dissipated_power")
+"""Quantities by their names in `HbmCurve` and in the result."""
 REFINED = 6  # solutions for which harmonics and samples are refined, besides the one of largest amplitude
 
 
@@ -105,7 +111,7 @@ class Curves:
                 try:
                     curves = list(self._from_ends(values, watch, processes))
                     finer = self._with_more_samples(curves)
-                except TooFewSamplesError as error:
+                except convergence.TooFewSamplesError as error:
                     finer = error.schemes
             self.notes += [own.label + own.curve.message for own in curves if own.curve.ending is Ending.BACKWARDS]
             self.notes.extend(self._left_out(values, curves))
@@ -123,7 +129,7 @@ class Curves:
     def _left_out(self, values: Mapping[str, float], curves: Sequence[StudyCurve]) -> Iterator[str]:
         """What the harmonics, and the samples that the program chose, still leave out."""
         label = f"{DOUBT}{in_words(values, ': ')}"
-        left = max(neglected(own.model_at, own.curve, self.schemes) for own in curves)
+        left = max(convergence.neglected(own.model_at, own.curve, self.schemes) for own in curves)
         if left > NOTED:
             count = max(own.curve.harmonic_cos.shape[1] - 1 for own in curves)
             more = next((own.harmonics for own in self.schemes if own.harmonics > count), 2 * count)
@@ -133,10 +139,10 @@ class Curves:
             above = f"those above would add to the amplitude, or change it by, up to {left:.1e} of it"
             yield f"{label}{taken}: {above}, where {NEGLECTED:g} is wanted; {hint}"
         if "time_samples" in self.plan.chosen and Ending.INTERRUPTED not in [own.curve.ending for own in curves]:
-            left = max(left_to_samples(own.model_at, own.curve, self.schemes) for own in curves)
-            if left > SAMPLED:
-                more = f"{FINER} times as many would change the contacts' motion by up to {left:.1e}"
-                wanted = f"where {SAMPLED:g} is wanted; set time_samples to more"
+            left = max(convergence.left_to_samples(own.model_at, own.curve, self.schemes) for own in curves)
+            if left > convergence.SAMPLED:
+                more = f"{convergence.FINER} times as many would change the contacts' motion by up to {left:.1e}"
+                wanted = f"where {convergence.SAMPLED:g} is wanted; set time_samples to more"
                 yield f"{label}auto took {self.schemes[0].time_samples:,} time samples: {more}, {wanted}"
 
     def _with_more_samples(self, curves: Sequence[StudyCurve]) -> tuple[Scheme, ...] | None:
@@ -144,7 +150,7 @@ class Curves:
         endings = [curve.curve.ending for curve in curves]
         if "time_samples" not in self.plan.chosen or Ending.INTERRUPTED in endings:
             return None
-        finer = (with_more_samples(own.model_at, own.curve, self.schemes) for own in curves)
+        finer = (convergence.with_more_samples(own.model_at, own.curve, self.schemes) for own in curves)
         return next((own for own in finer if own is not None), None)
 
     def with_curve(self, curve: StudyCurve) -> "Curves":
@@ -190,7 +196,7 @@ class Curves:
         """The curves from the ends of the range, or from the motion that the plan gives."""
         plan, along, model_at = self.plan, self.plan.along, self.model_at(values)
         chosen = "time_samples" in plan.chosen
-        options = self._options(checking_samples(model_at, self.schemes, watch) if chosen else watch)
+        options = self._options(convergence.checking_samples(model_at, self.schemes, watch) if chosen else watch)
         guess, begin = None, None
         if plan.motion is not None:
             structure = model_at(plan.span[0] if along is None else along.first).structure
@@ -259,7 +265,7 @@ class Curves:
         steps = replace(self.plan.steps, place=f"{key} = {{:.10g}}" if key else "{:.10g} Hz")
         return {"scheme": self.schemes, "controls": steps, "stability": stable, "watch": watch}
 
-    def to_refine(self) -> list[Known]:
+    def to_refine(self) -> list[convergence.Known]:
         """Stable solutions where a contact switches, spread over all curves, and the largest of them."""
         rows = []
         for one in self.curves:
@@ -271,11 +277,38 @@ class Curves:
         chosen.add(int(np.argmax([curve.curve.amplitude[i].max() for curve, i in rows])))
         return [_known(*rows[k]) for k in sorted(chosen)]
 
+    def record(self, attrs: Mapping[str, Any], refined: convergence.Convergence | None = None) -> Dataset:
+        """The result file: all solutions, one curve after the other."""
+        sizes = sizes_of(self.any_model) | {"harmonic": self.scheme.harmonics + 1}
+        names = (*OF_SOLUTION, *OF_MOTION, *OF_CONTACTS)
+        arrays = {name: self._stacked(name, *(sizes[dim] for dim in TAILS.get(name, ()))) for name in names}
+        arrays |= {name: arrays[name].astype(np.int8) for name in ("stable", "fold")}
+        arrays["branch"] = arrays["branch"].astype(np.int32)
+        counts = [one.curve.frequency.size for one in self.curves]
+        arrays["curve"] = np.repeat(np.arange(len(counts)), counts).astype(np.int32)
+        for key in self.plan.over:
+            arrays[key] = np.repeat([one.values[key] for one in self.curves], counts)
+        if (along := self.plan.along) is not None:
+            arrays[along.key] = self._stacked("parameter")
+            attrs = {**attrs, "along": along.key}
+        variables = {name: (("solution", *TAILS.get(name, ())), array) for name, array in arrays.items()}
+        coords: dict[str, np.ndarray] = {}
+        if refined is not None:
+            coords = {"harmonics": refined.harmonics, "time_samples": refined.time_samples}
+            variables["change_with_harmonics"] = (("harmonics",), refined.with_harmonics)
+            variables["change_with_samples"] = (("time_samples",), refined.with_samples)
+            attrs = {**attrs, "convergence": "\n".join(convergence_lines(refined))}
+        return dataset(variables, coords, attrs, self.any_model)
 
-def _known(curve: StudyCurve, i: int) -> Known:
+    def _stacked(self, name: str, *shape: int) -> np.ndarray:
+        own = (np.asarray(getattr(one.curve, name), dtype=float) for one in self.curves)
+        return np.concatenate([np.zeros((0, *shape)), *own])
+
+
+def _known(curve: StudyCurve, i: int) -> convergence.Known:
     solutions = curve.curve
     model = curve.model_at(float(solutions.parameter[i]))
-    return Known(model, float(solutions.frequency[i]), solutions.contact_motion[i], solutions.amplitude[i])
+    return convergence.Known(model, float(solutions.frequency[i]), solutions.contact_motion[i], solutions.amplitude[i])
 
 
 def _isolated(curve: StudyCurve) -> str:

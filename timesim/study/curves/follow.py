@@ -16,7 +16,6 @@ from timesim.result.state import SavedStates
 from timesim.study.curves.aside import PARTS, counting
 from timesim.study.curves.collection import Curves, StudyCurve, Sweep
 from timesim.study.curves.kept import Found, KeptCurves
-from timesim.study.curves.record import solutions
 from timesim.study.execution.campaign import Execution
 from timesim.study.execution.processes import LASTS
 from timesim.study.outcome import attributes
@@ -116,7 +115,7 @@ class _Work:
         for one in (*own.curves, StudyCurve(values, own.model_at(values), curve)):
             grown = grown.with_curve(one)
         attrs = attributes(grown.scene, str(grown.scheme), 0.0, 0.0, curve.message, integrated=False)
-        return solutions(grown, attrs)
+        return grown.record(attrs)
 
     def _know(self, place: int, found: Found) -> None:
         """Take in what was found for a set, and the samples that it needed."""

@@ -12,6 +12,7 @@ from timesim.result.coordinate import place_of_largest
 from timesim.result.label import counted, with_unit
 from timesim.scene.transient import Schedule
 from timesim.study.outcome import DOUBT, took
+from timesim.study.summary.sweep import largest_step
 
 PHASES = 12  # of a schedule at most that are listed
 OPEN = 1e-2
@@ -19,6 +20,10 @@ OPEN = 1e-2
 
 STILL = 1e-12
 """Share of the largest displacement up to which an amplitude is rounding, as under a load that only holds."""
+
+LEAST, FEWEST, LASTING = 1e-3, 3, 0.9
+"""Share of the motion of a cycle by which a body that drifts must move on, cycles in which it must do so in one way,
+and the share of its speed that it keeps over them."""
 
 
 def transient_lines(data: Dataset, plan: Schedule) -> Iterator[str]:
@@ -85,3 +90,19 @@ def error_lines(data: Dataset) -> Iterator[str]:
         yield f"{over}, and rounding allows no finer tolerance: the motion amplifies any error"
     else:
         yield f"{over}; try solver: {{method: {now.name}, rtol: {better.rtol:g}, atol: {better.atol:g}}}"
+
+
+def drift_lines(data: Dataset, plan: Schedule, frequency: np.ndarray) -> Iterator[str]:
+    """A line on a run at whose end a free body drifts; ``frequency``: of the modes, [Hz]."""
+    if frequency.all() or not data.attrs["complete"]:
+        return
+    kept = min(plan.phases[-1][1], (data.sizes["time"] - 1) // plan.samples_per_cycle)
+    last = data["displacement"].values[-(kept - kept // 2) * plan.samples_per_cycle - 1 :]
+    step = np.diff(last[:: plan.samples_per_cycle], axis=0)
+    if len(step) < FEWEST:
+        return
+    size = np.abs(step)
+    lasts = (np.abs(step.sum(axis=0)) == size.sum(axis=0)) & (size[-1] >= LASTING * size.max(axis=0))
+    moves = np.where(lasts & (size[-1] > LEAST * np.ptp(last[-plan.samples_per_cycle - 1 :], axis=0)), size[-1], 0.0)
+    if moves.any():
+        yield f"the body drifts, in the last cycle {largest_step(data['displacement'], moves)}: nothing holds it"
