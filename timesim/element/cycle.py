@@ -128,7 +128,6 @@ class ElementCycle:
     """The steady cycle of a contact under prescribed motion.
 
     Attributes:
-        law, motion: what was asked.
         stays: the states of the cycle in turn, from theta = 0 to 2 pi.
         transitions: those of the cycle, angles in [0, 2 pi).
         num_cycles: cycles marched from the start, this one included.

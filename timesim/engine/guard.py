@@ -47,7 +47,6 @@ class Segment(eqx.Module):
         margin, slope: margins at both ends and their rates, shape (2, margin, contact).
         path: coefficients of the polynomial of each component of the motion, the normal one last.
         slip: coefficients of that of each component of the slip.
-        h: length of the step.
     """
 
     margin: Margins
@@ -230,7 +229,6 @@ def arriving(
 
     Args:
         margin, slope: at the end of the step, and their rates.
-        h: its length.
         last: whether it is to end a cycle, beyond which no transition is taken.
         reach: time from a guard that a correction may span.
     """

@@ -103,17 +103,14 @@ class CycleTotals:
     """Amplitudes and energies of each completed cycle, gathered from batches of steps.
 
     Attributes:
-        model: what is simulated.
         initial: energy stored at the start.
         amplitude: (max - min)/2 of each cycle, of each point along each axis.
         start, end: times of each cycle.
-        steps: how many it took.
         work: done until the end of each cycle.
         stored: energy stored there.
         peak: largest energy stored at the end of a step.
         size: largest displacement and velocity at the ends of the steps of the last cycle, modes normalised to unit
             mass, shape (2,).
-        transitions: how many there were.
         opens: whether a contact has opened or closed.
     """
 

@@ -61,7 +61,6 @@ def advance_lanes(
     Args:
         attempt: tries a step of every trajectory: the trajectories after it, and what else is known of the step.
         running: which trajectories go on.
-        start: the trajectories.
         kept: what is kept of the steps at the start.
         keep: ``keep(kept, running, before, after, *step)``: what is kept after a step. Trajectories that wait have not
             taken it: they are the same before and after.

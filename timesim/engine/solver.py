@@ -63,7 +63,6 @@ def next_length(
     Solving Ordinary Differential Equations II, section IV.2.
 
     Args:
-        control: tolerances and lengths.
         order: k of the method.
         before: length that was asked for, and the error of the last accepted step.
         error: error of this try over its tolerance.

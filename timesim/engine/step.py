@@ -41,17 +41,14 @@ class Trajectory:
     """Everything that a trajectory goes on from.
 
     Attributes:
-        cycle: cycles completed.
         time: phase within the cycle, in [0, 2 pi).
         point, rate: continuous state and its rate.
-        state: state of each contact.
         length: step the error control asks for.
         limit: length proposed for the step that is tried again; infinite where none is.
         last_error: error of the last accepted step, for the controller.
         since: time since the last transition.
         repeats: transitions in a row with no time between them.
         tried: steps tried in this cycle.
-        status: see `Status`.
         culprit: contact of the last transition, `NOBODY` before the first.
     """
 

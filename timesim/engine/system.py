@@ -99,10 +99,8 @@ class System(Dynamics):
         damping: ``2 zeta_i omega_i / Omega``, or a matrix where the modes do not diagonalise it.
         harmonic: the multiples of the base frequency that are excited.
         cosine, sine: modal forces at them.
-        constant: constant modal force.
         phase: phase of the excitation at the start of a cycle [rad].
         ladder: what a method has prepared for its steps, see `timesim.engine.exponential.collocation`.
-        by_itself: whether its trajectory is advanced `single`.
     """
 
     law: ContactLaw

@@ -46,14 +46,11 @@ class Run:
     """A trajectory under way; iterate over `batches` to advance it.
 
     Attributes:
-        model: what is simulated.
         phases: the schedule; the phase of the excitation is continuous across its changes.
-        solver: method and tolerances.
         method: what takes the steps, by default that of the solver.
         displacement, velocity, slip, state: the present state, in the units of the scene.
         phase: present phase of the excitation [rad].
         time: time since the start [s].
-        completed: cycles completed.
         compile_seconds: time spent in the first call of each compiled loop, most of it compilation.
     """
 
@@ -261,7 +258,6 @@ class Steps:
         loop: the steps as numpy arrays, the first axis that of the steps, N of them.
         origin: where the loop has begun to count.
         work: energies put in, lost in modal damping and lost in each contact since the start of the run, (N, 2 + C).
-        rtol: relative tolerance of the steps.
     """
 
     frame: Frame

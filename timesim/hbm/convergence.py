@@ -163,7 +163,6 @@ class Convergence:
     """Changes of the solutions with harmonics and with samples.
 
     Attributes:
-        count: number of solutions refined.
         harmonics, with_harmonics: numbers of harmonics, and the difference of each from the last; the last entry is the
             difference from the last but one; NaN where no solution exists with both.
         time_samples, with_samples: the same for the samples.

@@ -25,7 +25,6 @@ class Line:
     """A line of the table.
 
     Attributes:
-        method: its name.
         why: it is taken, in words.
         accuracies: presets at which it was measured.
         share: of the time that the preset's own method takes, in one run and in a sweep.

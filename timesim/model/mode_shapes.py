@@ -24,7 +24,6 @@ class ModeShapes:
     """Shapes of modes at points.
 
     Attributes:
-        points: their names.
         shape: displacement of each point along x, y, z for a unit of each mode, shape (P, 3, M).
     """
 

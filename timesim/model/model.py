@@ -34,7 +34,6 @@ class Structure:
         mass: modal masses, shape (M,).
         damping: modal viscous damping, either ``2 zeta omega m`` a mode, shape (M,), or the whole matrix
             [force / modal velocity], shape (M, M), where the modes do not diagonalise it.
-        points: names of the points.
         shape: displacement of each point along x, y, z for a unit of each mode, shape (P, 3, M).
         left_out: static flexibility of the modes that are not kept, between the points along x, y, z, shape (3P, 3P);
             None where none is known of.
@@ -111,7 +110,6 @@ class Contact:
         point: point of body 1.
         against: point of body 2, or `GROUND`.
         frame: rows t1, t2, normal: rotates x, y, z into the contact's axes, shape (3, 3).
-        friction: coefficient of friction.
         tangential_stiffness: K_u, symmetric positive definite, or zero together with friction 0, shape (2, 2).
         normal_stiffness: k_v.
         preload: n0; negative is a gap of ``-n0 / k_v``.

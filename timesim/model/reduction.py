@@ -49,7 +49,6 @@ class Reduction:
     """What remains of a model.
 
     Attributes:
-        model: the original.
         modes: modes kept, at least one, ascending, shape (K,).
         live: contacts that remain in the event loop, shape (L,); these and the next two as in `Model.summation_order`.
         stuck: contacts proven to stick from start to end with w their start slip.

@@ -29,7 +29,6 @@ class Scales:
         mode: unit of each modal displacement, shape (M,).
         length: unit of length at the contacts.
         force: unit of force at the contacts.
-        energy: unit of energy.
     """
 
     omega: float

@@ -16,7 +16,6 @@ class Solver:
     """A method with its tolerances.
 
     Attributes:
-        name: of the method.
         rtol, atol: tolerance of a step, relative to the state and to the scene's own scale.
         longest: longest step [rad of the excitation]; the step itself for rk4.
         budget: most steps tried in one cycle.

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from timesim.orbit.lane import Lane, Recorded
+from timesim.orbit.lane import Lane, Recorded, largest
 from timesim.orbit.threshold import DISTURBANCE, FARTHER, FARTHEST, GONE, SOON, UNSTABLE, VAGUE
 
 SIDED = 1e-9  # least distance from a motion, relative, that tells on which side of it a trajectory is: beyond rounding
@@ -25,7 +25,6 @@ class Departure:
 
     Attributes:
         recorded: a period of the motion, which is unstable.
-        lane: the trajectory.
     """
 
     recorded: Recorded
@@ -40,7 +39,7 @@ class Departure:
     def off(self) -> float:
         """How far the trajectory is along disturbances that grow, relative; infinite where that cannot be told."""
         end = self.recorded.end
-        if not np.array_equal(end.apart, self.lane.apart) or _largest(self._offset) > GONE * end.size:
+        if not np.array_equal(end.apart, self.lane.apart) or largest(self._offset) > GONE * end.size:
             return np.inf
         return self._growing(self._own[1] * self._parts) / end.size
 
@@ -70,7 +69,7 @@ class Departure:
 
     def _growing(self, ways: np.ndarray) -> float:
         """Size of what grows of disturbances, given as columns."""
-        return _largest(ways[:, np.abs(self._own[0]) > UNSTABLE].sum(axis=1))
+        return largest(ways[:, np.abs(self._own[0]) > UNSTABLE].sum(axis=1))
 
     @cached_property
     def _own(self) -> tuple[np.ndarray, np.ndarray]:
@@ -88,7 +87,3 @@ class Departure:
     def _parts(self) -> np.ndarray:
         """How much of each disturbance leads from the motion to the trajectory."""
         return np.linalg.lstsq(self._own[1], self._offset.astype(complex))[0]
-
-
-def _largest(values: np.ndarray) -> float:
-    return float(np.max(np.abs(values), initial=0.0))

@@ -31,6 +31,11 @@ from timesim.orbit.threshold import UNSTABLE, VAGUE
 ROUNDING = 1e-10  # of an entry of a unit vector
 
 
+def largest(vector: np.ndarray) -> float:
+    """Largest size of an entry; 0 if there is none."""
+    return float(np.max(np.abs(vector), initial=0.0))
+
+
 @dataclass(frozen=True)
 class Lane:
     """A trajectory at the start of a cycle.
@@ -39,7 +44,6 @@ class Lane:
         model, reduction, frequency: the scene, reduced, at a frequency [Hz].
         frame: converts between the units of the scene and the dimensionless form.
         system, control: dimensionless equations and step control.
-        here: dimensionless state.
         phase: of the excitation at the start of a cycle [rad].
         quiet: time since the last transition, or since the loop was called [rad of the excitation].
         status, culprit: as in `timesim.engine.step.Trajectory`.
@@ -108,7 +112,7 @@ class Lane:
     def size(self) -> float:
         """Largest entry of the state vector, wherever a body that nothing holds has come."""
         vector, shifts = self.vector, self.shifts
-        return max(float(np.abs(vector - vector @ shifts.T @ shifts).max(initial=0.0)), 1e-300)
+        return max(largest(vector - vector @ shifts.T @ shifts), 1e-300)
 
     @cached_property
     def shifts(self) -> np.ndarray:
@@ -152,7 +156,6 @@ class Recorded:
     Attributes:
         start, end: the lane at both ends.
         cycles: how many.
-        complete: whether all of them were done.
         steps: of which they are made up, numpy arrays, the first axis that of the steps.
         slope: derivative of the state vector at the end by that at the start, of idle modes as if they stayed where
             they are; it may overflow.
@@ -181,7 +184,7 @@ class Recorded:
     @property
     def is_unstable(self) -> bool:
         """Whether a disturbance grows over the cycles."""
-        return bool(np.max(np.abs(self.multipliers), initial=0.0) > UNSTABLE)
+        return largest(self.multipliers) > UNSTABLE
 
     @cached_property
     def disturbances(self) -> np.ndarray:
@@ -225,8 +228,7 @@ class Recorded:
     @property
     def left(self) -> float:
         """Distance from the state that repeats over the cycles, relative to the largest entry; 0 where none closes."""
-        step = self.newton_step(self.change) if self.closes else np.zeros(1)
-        return float(np.abs(step).max(initial=0.0)) / self.start.size
+        return largest(self.newton_step(self.change)) / self.start.size if self.closes else 0.0
 
     def newton_step(self, change: np.ndarray) -> np.ndarray:
         """The step after which a change over the cycles vanishes to first order, but for drift; 0 in free offsets."""
@@ -250,12 +252,12 @@ class Recorded:
     def drift(self) -> np.ndarray:
         """The part of the change over the cycles that alters no force, if it is not negligible: a body slides on."""
         along = self.start.shifts.T @ (self.start.shifts @ self.change)
-        return along if np.abs(along).max(initial=0.0) > self._negligible else np.zeros_like(along)
+        return along if largest(along) > self._negligible else np.zeros_like(along)
 
     @property
     def strays(self) -> bool:
         """Whether another change is left, as of a body that nothing holds and that is ever faster."""
-        return bool(np.abs(self.change - self.drift).max(initial=0.0) > self._negligible)
+        return largest(self.change - self.drift) > self._negligible
 
     @cached_property
     def _rate(self) -> np.ndarray:

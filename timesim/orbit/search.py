@@ -38,10 +38,8 @@ class Search:
     Attributes:
         chain, place: position of the chain, and of the frequency in it.
         lane: the trajectory after the last round of marching.
-        task: next piece of work.
         returns: state vectors at the end of the last cycles, as many as show the longest period.
         changes: least change of the state over a period, relative, after each round.
-        cycles: integrated so far.
         period: of the motion to be measured; 0 where it has not settled.
         settled_to: as in `Orbit`.
         shot: the iterate of Newton's method where it is to SHOOT.
@@ -50,7 +48,6 @@ class Search:
         next_held: the same for a proof that no contact leaves its state any more.
         last: whether its budget is spent, and it is shot for the last time.
         disturbed: whether it had settled on a motion that is unstable, and was moved off it.
-        orbit: the result once it is DONE.
     """
 
     chain: int

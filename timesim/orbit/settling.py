@@ -57,7 +57,6 @@ def steady_states(
         solver, criterion: method and tolerances, and when a motion counts as settled.
         halted: asked before each round of cycles; True gives the work up.
         count: called after each steady state that takes cycles.
-        each: does the work on batches of them.
 
     Raises:
         GivenUpError: the work was given up.

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from timesim.orbit import threshold
-from timesim.orbit.lane import Lane, Recorded
+from timesim.orbit.lane import Lane, Recorded, largest
 
 
 class Failure(enum.Enum):
@@ -72,7 +72,7 @@ def iterated(shot: Shot, recorded: Recorded, tolerance: float) -> Shot | Converg
     if not recorded.closes:
         return _shorter(shot)
     step, size = recorded.newton_step(recorded.change), shot.lane.size
-    left, change = _largest(step) / size, _largest(recorded.change - recorded.drift) / size
+    left, change = largest(step) / size, largest(recorded.change - recorded.drift) / size
     if shot.count == 0 and change < threshold.NEARLY_REPEATS and recorded.is_unstable:
         shot = replace(shot, leaves=True)
     if left < tolerance:
@@ -97,8 +97,8 @@ def _led_closer(shot: Shot, recorded: Recorded) -> float:
     if shot.before is None:
         return 0.0
     step, follows = (shot.before.newton_step(one.change) for one in (shot.before, recorded))
-    nearer = min(_largest(follows), _largest(recorded.newton_step(recorded.change)))
-    return nearer / max(_largest(step), 1e-300)
+    nearer = min(largest(follows), largest(recorded.newton_step(recorded.change)))
+    return nearer / max(largest(step), 1e-300)
 
 
 def _shorter(shot: Shot) -> Shot | Failure:
@@ -127,14 +127,10 @@ def _counted(shot: Shot) -> Shot | Failure:
 def _ended(shot: Shot, recorded: Recorded, left: float) -> Shot | Converged | Failure:
     """The end of an iteration; a motion that repeats within the period is shot once more, over its own."""
     near, end = threshold.VAGUE * shot.lane.size, recorded.returns[-1]
-    repeats = [_largest(vector - end) < near for vector in recorded.returns]
+    repeats = [largest(vector - end) < near for vector in recorded.returns]
     period = next(n for n, repeated in enumerate(repeats, 1) if repeated and shot.period % n == 0)
     if period < shot.period:
         return Shot(shot.lane, period, leaves=shot.leaves)
     if recorded.is_unstable:
         return Failure.UNSTABLE
     return Failure.ASTRAY if recorded.strays or shot.leaves else Converged(left)
-
-
-def _largest(vector: np.ndarray) -> float:
-    return float(np.max(np.abs(vector), initial=0.0))

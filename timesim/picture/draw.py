@@ -43,7 +43,6 @@ def write(
     """Write the pictures of a result into an existing folder, replacing earlier ones.
 
     Args:
-        data, folder: the result, and where the files are written.
         pictures: those of the kind of study, by the name of their file.
         kind: format of the files, one of `KINDS`.
         log: quantities among `LOGARITHMIC` whose axes are logarithmic.

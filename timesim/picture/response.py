@@ -43,15 +43,12 @@ def amplitude_label(data: Dataset, point: str, axis: str, name: str = "amplitude
     return f"amplitude of {short(point, 16)} {axis}{unit(data, name)}"
 
 
-PHASE_LABEL = "phase [degree]"
-
-
 def over_phase(ax: Axes) -> Axes:
     """Label and limit the axes of a phase, at quarters of a turn."""
     low, high = (ax.dataLim.y0, ax.dataLim.y1) if np.isfinite(ax.dataLim.y1) else (-1.0, 0.0)
     first = int(np.floor(low / 90 + ROUNDING))
     last = max(int(np.ceil(high / 90 - ROUNDING)), first + 1)
-    ax.set(ylabel=PHASE_LABEL, ylim=(90 * first - 10, 90 * last + 10))
+    ax.set(ylabel="phase [degree]", ylim=(90 * first - 10, 90 * last + 10))
     ax.set_yticks(range(90 * first, 90 * last + 1, 90))
     return ax
 

@@ -95,9 +95,7 @@ class Checkpoint:
     """The finished chunks of a campaign, on disk.
 
     Attributes:
-        folder: where they are.
         lock: keeps other runs out of it.
-        manifest: what they belong to.
         earlier: seconds spent on the chunks that were taken up.
         begun: when the work on the others began, by `time.monotonic`.
         writer: the thread that writes them.

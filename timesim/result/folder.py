@@ -77,8 +77,6 @@ def prepare_folder(
     """Write the resolved scene, which has passed its checks, into the folder of a run.
 
     Args:
-        folder: an existing folder.
-        scene: the resolved scene as YAML.
         overwrite: the folder may hold another run, whose checkpoint and pictures are removed; its result stays until
             the new one replaces it.
         source: file that the scene was read from; never overwritten by another text.

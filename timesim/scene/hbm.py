@@ -38,7 +38,6 @@ class HbmPlan:
         span: first and last frequency of the curves [Hz].
         over: the further axes, a curve or several for each combination of values.
         along: the scalar that the curves run along at the frequency `span[0]`; None: they run along the frequency.
-        steps: of the continuation.
         stability, convergence: as in `BalanceSection`.
         both_ends: whether a curve is begun from either end.
         motion: a motion to begin from; None: the linear response.

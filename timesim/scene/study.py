@@ -175,8 +175,6 @@ class SweepPlan:
     Attributes:
         frequency: [Hz], ascending, shape (F,).
         directions: up, down: the motion is carried from one frequency to the next; independent: each starts anew.
-        over: the further axes.
-        criterion: when a motion counts as settled.
         refine: width [Hz] to which a jump between two frequencies is bisected; None does not bisect.
     """
 

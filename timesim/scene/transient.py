@@ -29,7 +29,6 @@ class Schedule:
         phases: frequency [Hz] and cycles of each phase of the run, the run-up included.
         run_up: how many phases come before time 0.
         first: cycle from which samples are kept, counted from 0.
-        samples_per_cycle: samples of a cycle.
     """
 
     phases: tuple[tuple[float, int], ...]

@@ -45,7 +45,6 @@ class Segment:
     """Work of one chunk: chains of frequencies [Hz], begun anew or where the chunk before has ended.
 
     Attributes:
-        chains: what is computed.
         solver, criterion: how their steady states are sought.
         refine: width [Hz] to which jumps along the chains are bisected; None does not search for them.
     """

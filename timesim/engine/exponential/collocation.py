@@ -127,7 +127,6 @@ class Start(NamedTuple):
 
     Attributes:
         state: of the contacts during the step.
-        w: slip.
         motion: of the contacts.
         acts: forces of the contacts.
         force: modal force that the polynomial begins with, shape (1, mode).

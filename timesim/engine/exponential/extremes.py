@@ -30,7 +30,6 @@ def extremes(
         system, steps: the steps, numpy arrays whose first axis is theirs, and the system in which they were taken.
         shape: the displacements for a unit of each mode, shape (X, M).
         first: the first step of each row, ascending, 0 the first of them, shape (R,).
-        rtol: relative tolerance of the steps.
     """
     start, end = steps.start.q @ shape.T, steps.end.q @ shape.T
     if steps.inside is None:

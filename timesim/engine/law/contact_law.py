@@ -162,7 +162,6 @@ class ContactLaw(eqx.Module):
             w: slip at its start.
             motion: at the nodes, their axis the first.
             inner: at the start and the nodes.
-            h, rule: length of the step, and the rule.
         """
         acts = self.reaction(state, motion, tuple(x[1:] for x in inner))
         moved = tuple(x + h * (jnp.asarray(rule.integrals) @ dw) for x, dw in zip(w, acts.dw, strict=True))
@@ -188,7 +187,6 @@ class ContactLaw(eqx.Module):
         What acts on the structure is the change of the normal load, n - max(n0, 0): the preload does work as well.
 
         Args:
-            contact: its parameters.
             motion: (u1, u2, v) in its axes, shape (N, 3).
             slip: w, shape (N, 2).
             state: shape (N,).

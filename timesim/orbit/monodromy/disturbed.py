@@ -83,7 +83,6 @@ class Disturbed:
     """Matrices by which steps of an explicit method move small disturbances, in the order of `vector_of`.
 
     Args:
-        method: that of the steps.
         system: of one trajectory, its arrays of numpy.
     """
 
