@@ -86,6 +86,11 @@ def warn(message: str, category: type[Warning] = SceneWarning) -> None:
     warnings.warn_explicit(message, category, frame.f_code.co_filename, frame.f_lineno, registry=seen)
 
 
+def warn_of_run(message: str) -> None:
+    """Warn of what a run meets, not of its scene."""
+    warn(message, RuntimeWarning)
+
+
 def meant(word: str, known: Collection[str]) -> str:
     """A hint: the known word that is meant; empty where none is near, for rules that list them all."""
     hint = nearest(word, known)

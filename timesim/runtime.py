@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, dataclass_transform
 
 import numpy as np
 
-from timesim.fault import warn
+from timesim.fault import warn_of_run
 
 # XLA runs a loop over small buffers as one compiled function, and any other as a sequence of kernels, each of which
 # costs more than the arithmetic in it. The event loop of one trajectory is 15 times faster as one function (measured;
@@ -114,21 +114,17 @@ def cache_folder() -> Path:
     return Path(os.environ.get("TIMESIM_CACHE") or Path(home) / "timesim") / processor()
 
 
-def _warn(message: str) -> None:
-    warn(message, RuntimeWarning)
-
-
 def _check_start() -> None:
     """Warn where JAX was used before: of its precision, and of loops that are not compiled whole."""
     from jax.extend.backend import get_compile_options
 
     if not _SETTINGS.jax_enable_x64:
-        _warn(
+        warn_of_run(
             "JAX was imported before, with single precision: timesim switches the whole process to double precision. "
             "Call jax.config.update('jax_enable_x64', True) yourself to be rid of this warning."
         )
     if _LOOP_LIMIT.encode() not in get_compile_options(num_replicas=1, num_partitions=1).SerializeAsString():
-        _warn(
+        warn_of_run(
             "JAX was used before timesim could set an option of XLA: a single trajectory takes up to 15 times longer. "
             f"Start Python with XLA_FLAGS={_LOOP_FLAG}, or import timesim.runtime before JAX is used."
         )
@@ -137,7 +133,7 @@ def _check_start() -> None:
 def _check_platform() -> None:
     """Warn where JAX prefers a graphics card, and nobody said that it should."""
     if jax.default_backend() != "cpu" and not _SETTINGS.jax_platforms:
-        _warn(
+        warn_of_run(
             f"JAX computes on '{jax.default_backend()}': the steps of a trajectory follow each other, and each would "
             "wait for the card. Start Python with JAX_PLATFORMS=cpu, or name the card there to be rid of this warning."
         )
@@ -161,7 +157,7 @@ def _keep_programs() -> Path | None:
     else:
         reason = None if ours else _kept_by_jax(folder)
     if reason:
-        _warn(
+        warn_of_run(
             f"compiled programs are not kept in {folder}: {reason}. Each run compiles its own, which takes minutes; "
             "name another folder by TIMESIM_CACHE, or empty this one."
         )

@@ -3,8 +3,8 @@
 Plain numpy on the host, in the units of the scene, a batch of steps at a time; nothing grows but what is recorded.
 """
 
-from dataclasses import dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,8 +17,7 @@ MOST_UNLIKE = 5.0
 """Ratio of the lengths of two steps from which on no polynomial goes through the ends of both."""
 
 
-@dataclass(frozen=True)
-class Samples:
+class Samples(NamedTuple):
     """Continuous state at given times: q, q' (N, M), w (N, C, 2) and contact states (N, C)."""
 
     time: np.ndarray
@@ -28,8 +27,7 @@ class Samples:
     state: np.ndarray
 
 
-@dataclass(frozen=True)
-class Events:
+class Events(NamedTuple):
     """Transitions: time, contact, state before and after, each of shape (N,)."""
 
     time: np.ndarray
@@ -77,8 +75,7 @@ def _beside(steps: Steps) -> tuple[np.ndarray, np.ndarray]:
 
 def joined(parts: list[Any]) -> Any:
     """One record from many of a kind."""
-    names = [part.name for part in fields(parts[0])]
-    return type(parts[0])(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    return type(parts[0])(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def events(steps: Steps) -> Events:

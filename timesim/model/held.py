@@ -24,17 +24,6 @@ def constant_force(contact: Contact, slip: np.ndarray, *, stuck: bool) -> np.nda
     return np.array([0.0, 0.0, max(contact.preload, 0.0)])
 
 
-def held_force(model: Model, modes: np.ndarray, stuck: np.ndarray, apart: np.ndarray) -> np.ndarray:
-    """Constant force of contacts that keep their state on some of the modes, shape (K,)."""
-    force = np.zeros(modes.size)
-    if not stuck.size + apart.size:
-        return force
-    shape = model.contact_shape[:, :, modes]
-    for c in (*stuck, *apart):
-        force += shape[c].T @ constant_force(model.contacts[c], model.start.slip[c], stuck=c in stuck)
-    return force
-
-
 def natural_modes(model: Model, modes: np.ndarray, stuck: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """Natural modes of a structure in some of its modes, K of them, with the springs of stuck contacts.
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from timesim.model.contact_state import start_states
 from timesim.model.finding import Units, left_out, proven, simplified, straight
-from timesim.model.held import constant_force, held_force, natural_modes, springs
+from timesim.model.held import constant_force, natural_modes, springs
 from timesim.model.linear_bound import Envelope, Oscillation, envelopes
 from timesim.model.model import CONE, SEPARATION, SLIP, STICK, Contact, Model
 
@@ -74,7 +74,11 @@ class Reduction:
     @property
     def held_force(self) -> np.ndarray:
         """Constant modal force of the contacts left out, in the modes kept, shape (K,)."""
-        return held_force(self.model, self.modes, self.stuck, self.apart)
+        force, shape = np.zeros(self.modes.size), self.model.contact_shape[:, :, self.modes]
+        for c in (*self.stuck, *self.apart):
+            contact, slip = self.model.contacts[c], self.model.start.slip[c]
+            force += shape[c].T @ constant_force(contact, slip, stuck=c in self.stuck)
+        return force
 
     def of_all(self, values: np.ndarray) -> np.ndarray:
         """Numbers of the live contacts, the last axis L, as those of all contacts: 0 of the others."""

@@ -144,10 +144,8 @@ def resumed_start(
         physics: the model, with as many modes and the same contacts.
         end: that state, its phase included.
         contacts: names of the contacts in the order of `end`.
-        shapes: of its modes, where they are known; else its modes are taken for those of the model.
-        frames: of the contacts of `end`, where they are known, shape (C, 3, 3); else they are taken for those of the
-            model.
-        bodies: what these contacts join, where that is known; else it is taken for what those of the model join.
+        shapes, frames, bodies: of its modes and contacts, frames of shape (C, 3, 3), where they are known; else they
+            are taken for those of the model.
 
     Raises:
         RuleError: the state is one of another structure or of contacts with other bodies or normals, or lies outside a

@@ -97,7 +97,8 @@ def response(
     at = {key: (at or {}).get(key, 0) for key in _keys(data)} if near is None else near.at
     shown = [item for item in ranges(data) if item.at == at] if near is None else [near]
     point, axis = _motion(data, shown, point, axis)
-    window = EVERYWHERE if near is None else _window(near)
+    beside = AROUND * (near.high - near.low) if near else np.inf
+    window = (near.low - beside, near.high + beside) if near else EVERYWHERE
     for i, (direction, colour) in enumerate(SWEEPS.items()):
         _sweep(ax, sweep.isel(at).isel(direction=i).sel(point=point, axis=axis), direction, colour, window)
     for item in shown:
@@ -122,11 +123,6 @@ def _motion(
     upper = data.to_dataset()["amplitude_upper"].isel(shown[0].at).isel(jump=[item.number for item in shown])
     place = largest_motion(upper)
     return place["point"], place["axis"]
-
-
-def _window(item: DrawnRange) -> tuple[float, float]:
-    beside = AROUND * (item.high - item.low)
-    return item.low - beside, item.high + beside
 
 
 def _sweep(

@@ -87,10 +87,7 @@ class Optimum(SteadySection):
             raise refuse(rule, key=("accuracy",), value=self.accuracy)
         return self.completed(accuracy=ACCURACY * span)
 
-    def plan(self, context: Context) -> OptimumPlan:
-        return self._plan()
-
-    def _plan(self) -> OptimumPlan:
+    def plan(self, context: Context | None = None) -> OptimumPlan:
         assert self.accuracy is not None
         return OptimumPlan(self.sweep(), self.accuracy, self.point, self.axis)
 
@@ -99,7 +96,7 @@ class Optimum(SteadySection):
         return SweepPlan(self.frequency.values(), ("up", "down"), axes_of(self.along), self.criterion(), None)
 
     def search(self) -> str:
-        return f", and some {self._plan().searched} values more in the search for the least"
+        return f", and some {self.plan().searched} values more in the search for the least"
 
 
 # Ranges with two motions

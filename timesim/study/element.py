@@ -48,7 +48,9 @@ def study(scene: Scene, execution: Execution) -> Outcome:
         why = f"{error}; change a parameter a little, or sample the motion more smoothly"
         about = attributes(scene, METHOD, 0.0, time.perf_counter() - clock, why)
         return Outcome({"": dataset({}, {"angle": np.zeros(0)}, about)}, why)
-    reason = None if cycle.periodic else _unsettled(cycle)
+    change = f"{cycle.residual:.1e} of the largest mu n from cycle to cycle; change a parameter a little"
+    unsettled = f"after {counted(cycle.num_cycles, 'cycle')} the friction force still changes by {change}"
+    reason = None if cycle.periodic else unsettled
     compared: dict[str, Any] = {}
     compiling, doubt = 0.0, None
     if plan.cross_check:
@@ -59,11 +61,6 @@ def study(scene: Scene, execution: Execution) -> Outcome:
     record = record_of(plan, cycle, about)
     told = {} if doubt else compared  # the reason says what does not agree
     return Outcome({"": record}, reason, tuple(summary(cycle, told, record["dissipation"].attrs)))
-
-
-def _unsettled(cycle: ElementCycle) -> str:
-    change = f"{cycle.residual:.1e} of the largest mu n from cycle to cycle; change a parameter a little"
-    return f"after {counted(cycle.num_cycles, 'cycle')} the friction force still changes by {change}"
 
 
 def _cross_check(

@@ -172,11 +172,7 @@ def _advance(recorder: Recorder, companion: Companion | None, execution: Executi
 
 
 def _wait(tasks: Sequence[Future]) -> None:
-    """Wait until all of them are done.
-
-    Raises:
-        Exception: what one of them has raised.
-    """
+    """Wait until all of them are done; raises what one of them has raised."""
     for task in tasks:
         task.result()
 

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from timesim.fault import warn
+from timesim.fault import warn_of_run
 from timesim.result import checkpoint
 from timesim.result.argument import shown
 from timesim.result.change import fingerprint
@@ -47,10 +47,6 @@ LISTED = 4  # failed chunks that a reason names
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")
 
 
-def _warned(text: str) -> None:
-    warn(text, RuntimeWarning)
-
-
 @dataclass(frozen=True)
 class Execution:
     """How a study is carried out.
@@ -71,7 +67,7 @@ class Execution:
     cluster: str | None = None
     workers: int | None = None
     processes: Processes | None = None
-    notice: Callable[[str], None] = _warned
+    notice: Callable[[str], None] = warn_of_run
 
     def __post_init__(self) -> None:
         if self.workers is not None and not (isinstance(self.workers, Integral) and self.workers >= 1):
