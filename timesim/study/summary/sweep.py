@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from xarray import DataArray, Dataset
+from xarray import Dataset
 
 from timesim.orbit.jump import suspects
 from timesim.orbit.steady_state import SAME
@@ -12,6 +12,7 @@ from timesim.orbit.threshold import LONGEST, UNSTABLE
 from timesim.result.coordinate import over_keys, place_of_largest, runs
 from timesim.result.label import axis_value, counted, first_few, in_words, with_unit
 from timesim.study.outcome import DOUBT, took
+from timesim.study.summary.transient import largest_step
 
 LINES = 12  # lines on peaks, on ranges with two motions, or on folds
 POINTS = 5  # failed points, or spans of points, that are named
@@ -168,10 +169,3 @@ def _chain(data: Dataset, place: Sequence[int]) -> str:
 def _where(data: Dataset, dims: Sequence[Any], place: Sequence[int]) -> list[str]:
     """Values along some axes."""
     return [f"{dim} {axis_value(data[dim].values[i])}" for dim, i in zip(dims, place, strict=True)]
-
-
-def largest_step(moved: DataArray, step: np.ndarray) -> str:
-    """The largest of the steps of what is moved in words, with the point and axis: ``tip x by 0.1 mm``."""
-    place = np.unravel_index(np.argmax(step), step.shape)
-    name = f"{moved['point'].values[place[-2]]} {moved['axis'].values[place[-1]]}"
-    return f"{name} by {with_unit(f'{step[place]:.4g}', moved.attrs)}"

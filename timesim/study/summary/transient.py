@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
-from xarray import Dataset
+from xarray import DataArray, Dataset
 
 from timesim.engine.companion import amplitude_error
 from timesim.model.promise import MARGIN, tightened
@@ -12,7 +12,6 @@ from timesim.result.coordinate import place_of_largest
 from timesim.result.label import counted, with_unit
 from timesim.scene.transient import Schedule
 from timesim.study.outcome import DOUBT, took
-from timesim.study.summary.sweep import largest_step
 
 PHASES = 12  # of a schedule at most that are listed
 OPEN = 1e-2
@@ -106,3 +105,10 @@ def drift_lines(data: Dataset, plan: Schedule, frequency: np.ndarray) -> Iterato
     moves = np.where(lasts & (size[-1] > LEAST * np.ptp(last[-plan.samples_per_cycle - 1 :], axis=0)), size[-1], 0.0)
     if moves.any():
         yield f"the body drifts, in the last cycle {largest_step(data['displacement'], moves)}: nothing holds it"
+
+
+def largest_step(moved: DataArray, step: np.ndarray) -> str:
+    """The largest of the steps of what is moved in words, with the point and axis: ``tip x by 0.1 mm``."""
+    place = np.unravel_index(np.argmax(step), step.shape)
+    name = f"{moved['point'].values[place[-2]]} {moved['axis'].values[place[-1]]}"
+    return f"{name} by {with_unit(f'{step[place]:.4g}', moved.attrs)}"
