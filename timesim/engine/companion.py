@@ -12,7 +12,7 @@ a motion which comes to rest away from its origin is not divided by zero.
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
@@ -41,12 +41,22 @@ def totals_of(run: Run) -> CycleTotals:
     return CycleTotals(run.model, float(stored_energy(run.model, *(part[None] for part in now))[0]))
 
 
-def state_error(model: Model, frequency: float, one: Any, other: Any, size: np.ndarray) -> float:
+class End(Protocol):
+    """A state at the end of a run: displacement and velocity of its modes, shape (M,)."""
+
+    @property
+    def displacement(self) -> np.ndarray: ...
+
+    @property
+    def velocity(self) -> np.ndarray: ...
+
+
+def state_error(model: Model, frequency: float, one: End, other: End, size: np.ndarray) -> float:
     """Largest difference of two states, relative to the size of the motion.
 
     Args:
         frequency: of the excitation [Hz].
-        one, other: what has ended there at the same time, with `displacement` and `velocity` of its modes, shape (M,).
+        one, other: states at the same time.
         size: largest displacement and velocity, of `CycleTotals`.
     """
     root = np.sqrt(model.structure.mass)
