@@ -416,7 +416,7 @@ CHANGES = (
         ("study.settle.max_cycles", "max_cycles: 500", "max_cycles: 0", "must be >= 1", "settle:"),
         ("study.settle.cycles", "max_cycles: 500", "cycles: 500", "is no key here", "settle:"),
         ("study.over.contacts.pad.preload", "[1, 2]", "[1, 2, 1]", "differ from each other (1 stands", "over:"),
-        ("study.over.contacts.pad.point", "pad.preload", "pad.point", "is no number of the scene", "over:"),
+        ("study.over.contacts.pad.point", "pad.preload", "pad.point", "vary a key whose value is one number", "over:"),
         ("study.over.solver.rtol", "contacts.pad.preload", "solver.rtol", "the key of a scalar", "over:"),
         ("study.over.contacts.p/d.preload", "contacts.pad", "contacts.p/d", "must not hold a /", "over:"),
         ("study.over.excitation.frequency", "contacts.pad.preload", "excitation.frequency", "axis of its own", "over:"),

@@ -228,7 +228,7 @@ def _refused(scene: Scene, values: Mapping[str, float], problem: Problem) -> Rul
         except SceneError as error:
             own = error.problems[0]
             if own.key == key and own.rule in NO_NUMBER:
-                return RuleError(places[key], "is no number of the scene")
+                return RuleError(places[key], "is no number of the scene", "vary a key whose value is one number")
             rule = own.rule if own.key == key else f"{own.key} {own.rule}"
             return RuleError(places[key], rule, own.hint, value)
     all_values = ", ".join(f"{key} = {value:g}" for key, value in values.items())
