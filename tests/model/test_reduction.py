@@ -11,13 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 from scipy.linalg import expm
 from systems import at_rest, den_hartog, excitation, generated_model, oscillator, pad, provable_model, structure
 
 from timesim.model import finding
 from timesim.model.held import springs
 from timesim.model.model import GROUND, SEPARATION, SLIP, STICK, Contact, Excitation, Model, Start, Structure
-from timesim.model.reduction import Reduction, _normalised, reduction_of
+from timesim.model.reduction import Reduction, _normalised, distant_stops, reduction_of
 
 # --- helpers ---------------------------------------------------------------------------------------
 
@@ -312,6 +313,44 @@ def test_a_start_of_a_heavy_mode_is_its_motion(displacement: float, speed: float
         start = replace(model.start, velocity=np.array([2 * np.pi * speed]))
         heavy = replace(model, structure=replace(model.structure, mass=np.array([9.0])), start=start)
         assert (reduction_of(heavy, [1.0]).apart.size == 1) == apart
+
+
+@pytest.mark.parametrize(("gap", "proven"), [(0.0099, False), (0.0101, True)])
+def test_what_a_stiff_mode_does_is_no_motion_of_a_soft_one(gap: float, proven: bool) -> None:
+    """The energy alone would allow the soft mode a hundred times the way of the stiff one that has it."""
+    body = structure([1.0, 1e4], [0.0, 0.0], [[0, 0, 1], [0, 0, 1]])
+    start = replace(at_rest(2, 1), velocity=np.array([0.0, 1.0]))
+    model = Model(body, (pad(0.0, 0.0, 50.0, -50.0 * gap),), excitation(1.0, [0, 0], [0, 0]), start)
+    assert (reduction_of(model, [1.0]).apart.size == 1) == proven
+
+
+@pytest.mark.parametrize(("share", "proven"), [(0.999, False), (1.001, True)])
+def test_a_contact_at_rest_on_its_slip_is_decided_sharply(share: float, proven: bool) -> None:
+    """A spring k that holds a contact K on a slip w in balance carries k K w / (k + K)."""
+    body = structure([1.0], [0.02], [[np.cos(0.3), np.sin(0.3), 0]])
+    slip = 0.1 * np.array([np.cos(0.3), np.sin(0.3)])
+    start = replace(at_rest(1, 1), displacement=np.array([0.2 * 0.1 / 1.2]), slip=slip[None])
+    contact = pad(0.5, 0.2, 3.0, share * 0.2 * 0.1 / 1.2 / 0.5)
+    found = reduction_of(Model(body, (contact,), excitation(0.2, [0], [0]), start), [0.2])
+    assert (found.stuck.size == 1) == proven
+
+
+def test_a_distant_stop_is_told_by_the_largest_motion_under_any_force_of_that_size() -> None:
+    """That is by the integral of the absolute value of the response to an impulse, of a heavy mode too."""
+    mass, omega, ratio, force, gap = 4.0, 3.0, 0.02, 0.5, 1e3
+    body = replace(structure([omega**2], [2 * ratio * omega * mass], [[0, 0, 2]]), mass=np.array([mass]))
+    stop = pad(0.0, 0.0, 50.0, -50.0 * gap)
+    model = Model(body, (stop,), excitation(0.4, [0.3], [0.4]), at_rest(1, 1))
+    damped = omega * np.sqrt(1 - ratio**2)
+    half = np.pi / damped
+
+    def impulse(t: float) -> float:
+        return float(np.exp(-ratio * omega * t) * abs(np.sin(damped * t)))
+
+    moves = 2 * force * sum(quad(impulse, k * half, (k + 1) * half)[0] for k in range(500)) / (mass * damped)
+    ((found, times),) = distant_stops(model, np.array([0]))
+    assert found is stop
+    assert times == pytest.approx(gap / moves, rel=1e-9)
 
 
 @pytest.mark.parametrize(("beyond", "proven"), [(5e-5, False), (3e-4, True)])
