@@ -431,6 +431,14 @@ def test_coefficients_rebuild_energy_and_harmonics():
         np.testing.assert_allclose(2 * sampled[:, 1:].T, cosine[1:] - 1j * sine[1:], atol=2e-6)
 
 
+def test_no_harmonic_of_full_stick_but_the_first():
+    """Nor of an order that turns many times within an interval of the quadrature."""
+    cosine, sine = steady_cycle(contact(FULL, preload=100.0), HarmonicMotion(1.0, 0.5, 1.0, 0.8)).harmonics(200)
+    np.testing.assert_allclose(sine[1], FULL @ [1.0, 0.5 * np.cos(0.8)], rtol=1e-13)
+    np.testing.assert_allclose(cosine[1], FULL @ [0.0, 0.5 * np.sin(0.8)], rtol=1e-13)
+    assert max(np.abs(cosine[2:]).max(), np.abs(sine[2:]).max()) < 1e-12
+
+
 def test_principal_axes():
     rng = np.random.default_rng(8)
     theta = np.linspace(0, CYCLE, 100)

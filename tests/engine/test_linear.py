@@ -38,7 +38,7 @@ def solved(model: Model, cycles: int, frequency: float | None = None, solver: So
 # Whole structures
 
 
-@pytest.mark.parametrize("seed", [301, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(302, 307))])
+@pytest.mark.parametrize("seed", [326, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(301, 307))])
 def test_structures_with_stuck_and_open_contacts_against_steps_through_the_whole_scene(seed: int) -> None:
     """Contacts that stick on an offset, gaps, several harmonics, constant forces, damping that couples the modes."""
     model = provable_model(seed, 1e3)

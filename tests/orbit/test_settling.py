@@ -171,6 +171,21 @@ def test_the_longest_period_that_a_short_march_shows():
     assert nearest_period(returns, LONGEST) == Recurrence(CYCLES_A_ROUND, 0.0)
 
 
+@pytest.mark.parametrize("period", [1, 2, 3])
+def test_noise_about_a_motion_of_any_period_leads_nowhere(period):
+    """The motion itself moves the state from cycle to cycle, by far more than the noise of the steps."""
+    returns = 1 + 0.1 * (np.arange(2 * CYCLES_A_ROUND) % period)[:, None]
+    returns = returns + 1e-8 * np.random.default_rng(2).choice([-1.0, 1.0], returns.shape)
+    assert recurrence_of(returns, 1e-9).period == 0
+    assert recurrence_of(returns, 1e-9, noise=1e-7).period == period
+
+
+def test_what_is_alike_in_one_cycle_alone_is_no_period():
+    """The last state is that of two cycles before."""
+    returns = np.array([7.0, 1.0, 0.0, 7.0, 5.0])[np.arange(16) % 5]
+    assert nearest_period(returns[:, None]) == Recurrence(5, 0.0)
+
+
 def test_an_alternation_counts_from_thirty_times_the_tolerance():
     """A smaller one may be the end of a beat that decays: it neither repeats after one cycle nor after two."""
     cycles = np.arange(2 * CYCLES_A_ROUND)

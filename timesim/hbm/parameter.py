@@ -59,10 +59,9 @@ class ParameterBalance:
         return r + (p - inside) * slope, by_x, slope
 
     def _slope(self, x: Array, p: float) -> Array:
-        places = first, middle, _ = around(p, self.low, self.high)
-        low, here, high = (self.at(q).value(x, self.frequency) for q in places)
-        step = middle - first
-        return (high - low) / (2 * step) + (high - 2 * here + low) * ((p - middle) / step**2)
+        first, _, last = around(p, self.low, self.high)
+        low, high = (self.at(q).value(x, self.frequency) for q in (first, last))
+        return (high - low) / (last - first)
 
 
 def around(p: float, low: float, high: float) -> tuple[float, float, float]:
