@@ -12,6 +12,7 @@ from scipy.optimize import brentq, root
 from systems import CREEPING, contact, creeping, slipping_pair
 
 from timesim.element.cycle import ElementCycle, principal_axes
+from timesim.element.elements import single_element
 from timesim.element.motion import CYCLE, HarmonicMotion, SplineMotion
 from timesim.element.slip_path import FINE, Law, _sticking_dip, contact_direction
 from timesim.element.state_by_state import MAX_CYCLES, SHORT, steady_cycle
@@ -304,6 +305,15 @@ def test_contact_that_begins_or_ends_at_the_start(preload, psi):
     assert states(cycle).count((SLIP, SEPARATION)) == 1
     assert cycle.transitions[-1].after == cycle.transitions[0].before
     assert cycle.work == pytest.approx(cycle.dissipation, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("psi", "state"), [(90, STICK), (40, STICK), (20, SEPARATION), (0, SEPARATION), (180, SEPARATION)]
+)
+def test_the_loop_begins_in_the_state_of_the_load_at_the_start(psi, state):
+    """n = -0.5 + sin psi."""
+    motion = HarmonicMotion(1.0, 0.0, 1.0, 0.0, np.radians(psi))
+    assert single_element(contact(preload=-0.5), motion).start_state.tolist() == [state]
 
 
 def test_contact_direction_solves_its_equation():

@@ -75,6 +75,21 @@ def test_a_resonance_that_contacts_drive_is_met_where_they_do_and_not_from_then_
     assert [np.isfinite(hidden.away(9.0, lambda now=now: now)).any() for now in (driven, still)] == [True, False]
 
 
+@pytest.mark.parametrize(("share", "met"), [(0.99, False), (1.01, True)])
+def test_a_resonance_that_contacts_drive_counts_from_a_share_of_the_largest_motion(share, met):
+    """Of a force F on each blade both move by F / (2 zeta omega^2)."""
+    hidden, force = Hidden(blades(force=(1.0, -1.0)), 1), share * 1e-2 * 3.0 * 2 * RATIO * (systems.TURN * 10.0) ** 2
+    assert np.isfinite(hidden.away(9.0, lambda: (np.full((1, 2), force), 3.0))).any() == met
+
+
+@pytest.mark.parametrize(("frequency", "away"), [(9.9, 0.1), (10.0125, 0.01), (10.125, 0.1)])
+def test_between_both_ends_of_a_resonance_steps_are_those_within_it(frequency, away):
+    """A pad that moves it from 10 to 10.025 Hz."""
+    model = blades(frequency=(10.0, 30.0), stiffness=(1.0025**2 - 1) * (systems.TURN * 10.0) ** 2)
+    model = replace(model, contacts=(replace(model.contacts[0], against="ground"),))
+    assert longest(model)(frequency) == pytest.approx(SHARE * away, rel=1e-6)
+
+
 @pytest.mark.parametrize("force", [(1.0, 0.5), (1.0, -1.0)])
 def test_steps_do_not_depend_on_the_mass_of_a_mode(force):
     """Mode 2 with nine times its mass and damping, and three times its shape and modal force, is the same one."""

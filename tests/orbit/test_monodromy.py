@@ -106,3 +106,16 @@ def test_error_of_a_vibration_in_a_step(method, order):
     errors = disturbed.error_of(method, angles)
     assert np.log2(errors[1] / errors[0]) > order + 0.8
     assert disturbed.error_of("rk4", 0.1) == pytest.approx(0.1**5 / 120, rel=1e-2)
+
+
+def test_modes_that_are_taken_out_of_the_rates_act_on_slip_as_they_do_within_them(monkeypatch):
+    """All of them, over steps that are fine enough for either way."""
+    model, solver, found = oscillator(3.0, 1.39), Solver("tsit5", 1e-10, 1e-12), []
+    lane = first_lane(Chain(model, (1.39,)), solver)
+    monkeypatch.setattr(batch, "MANY", 0)
+    for fast in (np.inf, 0.0):
+        monkeypatch.setattr(disturbed, "FAST", fast)
+        found.append(batch.record([lane], solver, [CYCLES])[0])
+    within, taken = (one.slope for one in found)
+    assert {STICK, SLIP} <= set(found[0].steps.state.ravel().tolist())
+    np.testing.assert_allclose(taken, within, rtol=0, atol=1e-8 * np.abs(within).max())
