@@ -128,6 +128,9 @@ def test_a_curve_passes_a_motion_if_all_its_amplitudes_do():
     motion = SettledMotion(1.5, np.array([[3.5, 3.5, 3.5]]), lambda: None)
     assert passes(WHOLE, motion)
     assert not passes(WHOLE, replace(motion, amplitude=np.array([[3.5, 3.5, 3.0]])))
+    between = SettledMotion(1.25, np.full((1, 3), 3.25), lambda: None)
+    assert passes(WHOLE, between)
+    assert not passes(WHOLE, replace(between, amplitude=np.full((1, 3), 3.75)))
 
 
 def test_a_motion_at_an_end_of_the_range_begins_a_curve_of_its_own(monkeypatch):
