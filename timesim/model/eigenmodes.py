@@ -105,13 +105,13 @@ def _symmetric(matrix: Any, name: str) -> Any:
         matrix = numeric(matrix, f"the {name} matrix")
     except RuleError as error:
         raise error.below(name) from None
-    from scipy.sparse import tril
+    from scipy.sparse import coo_array, tril
 
     difference, largest = abs(matrix - matrix.T).max(), abs(matrix).max()
     if difference > SYMMETRY * largest:
         rows = " and ".join(map(str, sorted(largest_entry(matrix - matrix.T))))
         hint = f"mirrored entries differ by up to {difference:.3g}, those of rows {rows}"
-        if not min(abs(tril(matrix, -1)).max(), abs(tril(matrix.T, -1)).max()):
+        if not min(abs(tril(coo_array(half), -1)).max() for half in (matrix, matrix.T)):
             hint += "; it is one triangle: A + A.T with the diagonal once is whole"
         raise RuleError((name,), f"the {name} matrix must be symmetric", hint)
     return (matrix + matrix.T) / 2
