@@ -66,7 +66,7 @@ class Envelope:
         return functional @ self.constant + swing + np.linalg.norm(functional @ self.ball, axis=1)
 
     def size(self, rows: slice) -> float:
-        """Bound on the length of some components of z."""
+        """Bound on the length of some components of z; `highest` changes no faster than that with l."""
         waves = np.linalg.norm(self.wave[rows], axis=0).sum()
         return float(np.linalg.norm(self.constant[rows]) + waves + np.linalg.norm(self.ball[rows]))
 

@@ -35,14 +35,13 @@ STILL = 1e-13
 STRAIGHT = 1e-13
 """Share by which a motion may leave its line, or K_u turn it: rounding."""
 MARGIN = 1e-4
-"""Share of the bound by which a contact must stay inside its state: more than the error of the bound, and than what
-`DIRECTIONS` leave out."""
+"""Share of the bound by which a contact must stay inside its state: more than the error of the bound."""
 DISTANT = 100.0
 """Times the motion without contacts that a gap is wide which is worth a warning."""
 RECENT = 16
 """Models whose parts and proofs are cached: a sweep asks at every frequency, a run and its companion at one."""
 DIRECTIONS = 720
-"""Directions of a contact plane that are tried. Of a force between two of them 1 - cos(pi / 720), 1e-5, is not seen."""
+"""Directions of a contact plane that are tried; what lies between them is covered by a Lipschitz constant."""
 
 
 @dataclass(frozen=True)
@@ -312,8 +311,10 @@ def _margin(envelope: Envelope, contact: Contact, state: int) -> float:
         return -highest - MARGIN * envelope.size(slice(2, 3))
     angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     cone = np.stack([np.cos(angle), np.sin(angle), np.full(DIRECTIONS, -contact.friction)], axis=1)
-    error = MARGIN * (envelope.size(slice(0, 2)) + contact.friction * envelope.size(slice(2, 3)))
-    return -float(envelope.highest(cone).max()) - error
+    tangential = envelope.size(slice(0, 2))
+    between = tangential * np.pi / DIRECTIONS
+    rounding = MARGIN * (tangential + contact.friction * envelope.size(slice(2, 3)))
+    return -float(envelope.highest(cone).max()) - between - rounding
 
 
 def _direction(scene: _Scene, c: int, modes: np.ndarray) -> np.ndarray | None:
