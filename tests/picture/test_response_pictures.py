@@ -303,6 +303,12 @@ def test_points_above_the_curves_are_shown() -> None:
     assert compare.overlay(tree).get_ylim()[1] > 3.0
 
 
+def test_the_point_and_the_axis_that_are_compared_may_be_chosen() -> None:
+    tree = xarray.DataTree.from_dict({"/sweep": _sweep([2.0]), "/hbm": _balance([2.0])})
+    for axis in "xy":
+        assert f" {axis}" in compare.overlay(tree, point="tip", axis=axis).get_ylabel()
+
+
 def test_a_sweep_of_which_every_point_failed_has_no_place_in_the_legend() -> None:
     tree = xarray.DataTree.from_dict({"/sweep": _sweep([2.0], height=np.nan), "/hbm": _balance([2.0])})
     assert not [line for line in compare.overlay(tree).get_lines() if "time integration" in str(line.get_label())]

@@ -44,13 +44,20 @@ Points = tuple[dict[str, int], dict[str, Any]]
 """Points of a sweep with one set of values and one direction: the positions along these axes, and the style."""
 
 
-def overlay(data: DataTree, ax: Axes | None = None, *, name: str = "amplitude") -> Axes:
+def overlay(
+    data: DataTree,
+    ax: Axes | None = None,
+    *,
+    point: str | None = None,
+    axis: str | None = None,
+    name: str = "amplitude",
+) -> Axes:
     """Curves of harmonic balance and points of the sweep, hollow if not settled, ringed if of several cycles.
 
     ``name``: amplitude or phase_deg.
     """
     hbm, sweep = _groups(data)
-    point, axis = motion(hbm if hbm.sizes["solution"] else sweep, None, None)
+    point, axis = motion(hbm if hbm.sizes["solution"] else sweep, point, axis)
     drawn = balance.response if name == "amplitude" else balance.phase
     ax = drawn(hbm, axes(ax), point=point, axis=axis)
     for where, look in _points(hbm, sweep):
