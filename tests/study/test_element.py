@@ -352,6 +352,8 @@ def test_motion_from_a_file(tmp_path):
         np.testing.assert_allclose(data.f_s, exact.f_s, atol=1e-9)
         np.testing.assert_allclose(data.transition_angle_deg, exact.transition_angle_deg, atol=1e-5)
         assert str(tmp_path / name) in loaded.resolved_yaml()
+    np.savez(tmp_path / "motion.npz", u=rows[:, :2], v=1.01 * rows[:, 2])
+    assert load_scene(path).data_fingerprint != loaded.data_fingerprint
 
 
 def test_motion_from_a_result(tmp_path):

@@ -337,6 +337,17 @@ def test_a_transient_of_another_structure(tmp_path: Path):
             load_scene(scene(start={"from": str(place)}, over={"structure.keep_modes": values}) | fewer)
 
 
+def test_a_start_that_has_changed_is_other_data(tmp_path: Path):
+    """A whole run is not taken for that of a scene whose start is another motion; the same one may be saved again."""
+    frequency = {"frequency": 0.945}
+    own = BASE | {"excitation": BASE["excitation"] | frequency, "study": {"kind": "transient", "cycles": 2}}
+    path, found = tmp_path / "result.nc", []
+    for cycles in (2, 2, 3):
+        save(timesim.run(own | {"study": own["study"] | {"cycles": cycles}}), path)
+        found.append(load_scene(scene(start={"from": str(path)})).data_fingerprint)
+    assert found[0] == found[1] != found[2]
+
+
 def test_along_a_scalar_that_must_be_whole_is_refused():
     """Both its ends are valid; a curve goes between them."""
     load = [{"point": "tip", "direction": [1, 0, 0], "amplitude": 1.0, "harmonic": 1}]

@@ -43,7 +43,7 @@ INTERRUPTED = "interrupted"  # the reason of an interrupted campaign begins with
 Result = Mapping[str, np.ndarray]
 """Result of a chunk: arrays by name."""
 
-_OTHER_DATA = "other data, such as a file of matrices that has changed"
+_OTHER_DATA = "other data, such as a file of matrices or a result that has changed"
 _AGAIN = "choose another folder, or give --force to start anew"
 
 

@@ -135,14 +135,18 @@ class Element(ElementSection):
         given = self.motion
         try:
             if isinstance(given, PointMotion):
-                return read_result_motion(context.folder / given.source, given.point, given.against, contact.frame)
-            return read_motion(context.folder / given)
+                asked = (context.folder / given.source, given.point, given.against, contact.frame)
+                motion = read_result_motion(*asked)
+            else:
+                motion = read_motion(context.folder / given)
         except (ValueError, StoreError) as error:
             raise RuleError(("motion",), str(error)) from None
         except OSError as error:
             missing = isinstance(error, FileNotFoundError)
             hint = f"does not exist, {FROM_SCENE}" if missing else error.strerror or str(error)
             raise RuleError(("motion",), "must be a file that can be read", hint, given) from None
+        context.read.append(motion)
+        return motion
 
 
 # Maps

@@ -116,6 +116,7 @@ class ResultStart(ResultSection):
         except (RuleError, ValueError, StoreError) as error:
             said = (error.rule, error.hint) if isinstance(error, RuleError) else (str(error),)
             raise self.refused("must be the result of a transient or a sweep", ", ".join(filter(None, said))) from None
+        context.read.append(states if motion is None else motion)
         if motion is None:
             self._check_sweep(states, plan, context)
             return replace(plan, passing=(states, self.at))

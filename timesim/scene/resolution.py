@@ -137,12 +137,13 @@ class Scene:
         plan, model = build.plan(structure), build.model(structure, end)
         if build.errors:
             raise self.source.error(build.errors)
-        data = fingerprint([matrices.data() for matrices in self._files.values()], None if end is None else end[1])
+        matrices = [matrices.data() for matrices in self._files.values()]
+        data = fingerprint(matrices, None if end is None else end[1], *build.read)
         return _Built(plan, structure, end, model, self.file.study.lowest_frequency(), data)
 
     @property
     def data_fingerprint(self) -> str:
-        """Digest of the matrices and of the state that it has read from other files, the same on any machine."""
+        """Digest of the matrices, states and motions read from other files, the same on any machine."""
         return self._built.data
 
     def resolved_yaml(self) -> str:
@@ -266,6 +267,7 @@ class _Build:
     ):
         self.file, self.folder, self.files, self.known, self.changed = file, folder, files, known, set(changed)
         self.errors: list[RuleError] = []
+        self.read: list[Any] = []  # by the plan, from other files
 
     def unchanged(self, *parts: str) -> _Built | None:
         """What is known, if none of these sections has changed."""
@@ -290,7 +292,7 @@ class _Build:
         frequency = self.file.excitation.frequency if self.file.excitation is not None else None
         with self.under("study"):
             num_modes = None if structure is None else structure[0].num_modes
-            return study.plan(Context(contacts, frequency, self.folder, num_modes))
+            return study.plan(Context(contacts, frequency, self.folder, num_modes, self.read))
 
     def structure(self) -> BuiltStructure | None:
         if (known := self.unchanged("structure")) is not None:

@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from math import prod
 from pathlib import Path
@@ -96,12 +96,14 @@ class Context:
         frequency: of the excitation [Hz]; None where the scene names none.
         folder: where relative paths begin.
         num_modes: of the structure; None where there is none, or it cannot be built.
+        read: what a plan has read from other files; each that reads one adds it.
     """
 
     contacts: tuple[ContactSection, ...]
     frequency: float | None
     folder: Path
     num_modes: int | None = None
+    read: list[Any] = field(default_factory=list)
 
 
 class StudySection(Section):

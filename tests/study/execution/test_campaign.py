@@ -222,7 +222,7 @@ def test_nothing_to_resume_is_reported(tmp_path: Path):
         (chains(2, 2), SCENE.replace("title: toy\n", ""), "another scene: title was toy, is not given"),
         (chains(2, 2), f"{SCENE}# why", "another scene: 'nothing' was there, now '# why'"),
         (chains(2, 3), SCENE, "other chunks: 'c-1-0' was there, now 'c-0-2'"),
-        (chains(2, 2, seconds=1.0), SCENE, "other data, such as a file of matrices that has changed: see chunk c-0-0"),
+        (chains(2, 2, seconds=1.0), SCENE, "a file of matrices or a result that has changed: see chunk c-0-0"),
     ],
 )
 def test_a_changed_scene_is_named_and_not_resumed(chunks: list[Chunk], identity: str, message: str, tmp_path: Path):
@@ -725,7 +725,8 @@ def test_a_whole_run_of_other_matrices_is_not_taken_for_that_of_the_scene(
     write(71.0)
     status, out, error = call(run, *structure, "--resume")
     assert (status, out) == (2, "")
-    assert "result.nc is of other data, such as a file of matrices that has changed; run what it was begun" in error
+    changed = "such as a file of matrices or a result that has changed"
+    assert f"result.nc is of other data, {changed}; run what it was begun" in error
     assert (run / "result.nc").read_bytes() == before
     assert call(run, *structure, "--force")[0] == 0
     assert call(run, *structure, "--resume")[0] == 0
