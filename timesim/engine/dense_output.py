@@ -7,7 +7,8 @@ Polynomials and their values may be numpy or JAX arrays; extremes are sought by 
 Source: Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, section II.6.
 """
 
-from functools import cache
+from collections.abc import Callable
+from functools import cache, reduce
 from math import comb
 from typing import Any
 
@@ -73,16 +74,40 @@ def evaluate(x: Any, coefficients: tuple[Any, ...]) -> tuple[Any, Any]:
     return value, rate
 
 
+def quintic_bounds(h: Any, start: tuple[Any, Any, Any], end: tuple[Any, Any, Any]) -> tuple[np.ndarray, np.ndarray]:
+    """`bounds` of quintics that are not formed, arguments as of `quintic`."""
+    (q0, p0, a0), (q1, p1, a1) = start, end
+    third, sixth = h / 5, h * h / 20
+    v0, v1 = third * p0, third * p1
+    second, fifth = q0 + v0, q1 - v1
+    inner = (second, second + v0 + sixth * a0, fifth - v1 + sixth * a1, fifth)
+    return reduce(np.minimum, (q0, q1, *inner)), reduce(np.maximum, (q0, q1, *inner))
+
+
+def bounds(coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Values between which polynomials stay on [0, 1], by their coefficients of 1, x, x^2, ..., shape (power, ...).
+
+    They are the extremes of their control points (G. Farin, Curves and Surfaces for CAGD, on the convex hull of the
+    Bernstein form).
+    """
+    control = np.tensordot(control_points(len(coefficients)), coefficients, 1)
+    return control.min(axis=0), control.max(axis=0)
+
+
 def extremes(
-    coefficients: np.ndarray, ends: tuple[np.ndarray, np.ndarray], first: np.ndarray, doubt: Any = 0.0
+    formed: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    within: tuple[np.ndarray, np.ndarray],
+    ends: tuple[np.ndarray, np.ndarray],
+    first: np.ndarray,
+    doubt: Any = 0.0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Least and largest values over rows of steps, of polynomials of the fraction of each step.
 
-    Few steps hold an extreme: the others stay between values that the ends of steps reach, by the control points of
-    their polynomials (G. Farin, Curves and Surfaces for CAGD, on the convex hull of the Bernstein form).
+    Few steps hold an extreme: the others stay between values that the ends of steps reach.
 
     Args:
-        coefficients: of 1, x, x^2, ..., shape (power, N, X).
+        formed: coefficients of 1, x, x^2, ..., shape (power, n), of the polynomials of n steps at n of the X places.
+        within: values between which each polynomial stays, each of shape (N, X).
         ends: values at the ends of the steps, each of shape (N, X).
         first: the first step of each row, ascending, 0 the first of them, shape (R,).
         doubt: how far each polynomial may be off, shape (N, X).
@@ -92,11 +117,10 @@ def extremes(
     """
     low, high = np.minimum.reduceat(np.minimum(*ends), first), np.maximum.reduceat(np.maximum(*ends), first)
     row = rows_of(first, len(ends[0]))
-    control = np.tensordot(control_points(len(coefficients)), coefficients, 1)
-    beyond = (control.min(axis=0) - doubt < low[row]) | (control.max(axis=0) + doubt > high[row])
+    beyond = (within[0] - doubt < low[row]) | (within[1] + doubt > high[row])
     known = beyond & (doubt == 0)
     step, place = np.nonzero(known)
-    least, most = _between(coefficients[:, step, place])
+    least, most = _between(formed(step, place))
     np.minimum.at(low, (row[step], place), least)
     np.maximum.at(high, (row[step], place), most)
     return low, high, np.flatnonzero((beyond & ~known).any(axis=1))

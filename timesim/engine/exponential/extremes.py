@@ -33,15 +33,22 @@ def extremes(
     """
     start, end = steps.start.q @ shape.T, steps.end.q @ shape.T
     if steps.inside is None:
-        sides = ((start, steps.start.p, steps.start_rate.p), (end, steps.end.p, steps.end_rate.p))
-        (_, v0, a0), (_, v1, a1) = ((x, p @ shape.T, dp @ shape.T) for x, p, dp in sides)
-        quintic = hermite.quintic_coefficients(steps.h[:, None], (start, v0, a0), (end, v1, a1))
-        return hermite.extremes(np.stack(quintic), (start, end), first)[:2]
+        rates = (steps.start.p, steps.start_rate.p, steps.end.p, steps.end_rate.p)
+        v0, a0, v1, a1 = (rate @ shape.T for rate in rates)
+        sides = (start, v0, a0), (end, v1, a1)
+
+        def formed(step: np.ndarray, place: np.ndarray) -> np.ndarray:
+            one, other = (tuple(part[step, place] for part in side) for side in sides)
+            return np.stack(hermite.quintic_coefficients(steps.h[step], one, other))
+
+        within = hermite.quintic_bounds(steps.h[:, None], *sides)
+        return hermite.extremes(formed, within, (start, end), first)[:2]
     missed = max(MISSED * rtol, FINEST) * max(np.abs(start).max(), np.abs(end).max())
     coefficients, doubt = _through_nodes(system, steps.inside, shape, missed)
     coefficients *= ((steps.h / steps.inside.h) ** np.arange(len(coefficients))[:, None])[..., None]
     doubt[doubt <= missed] = 0.0
-    low, high, rows = hermite.extremes(coefficients, (start, end), first, doubt)
+    within = hermite.bounds(coefficients)
+    low, high, rows = hermite.extremes(lambda *those: coefficients[:, *those], within, (start, end), first, doubt)
     if rows.size:
         row, some = hermite.rows_of(first, len(start)), jax.tree.map(lambda leaf: leaf[rows], steps)
         parts = parts_of(system, some, rtol)
