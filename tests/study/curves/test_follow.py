@@ -265,6 +265,28 @@ def test_solutions_are_evaluated_before_the_curve_is_whole_where_a_process_has_n
     same(data, late)
 
 
+def test_an_interrupt_keeps_the_multipliers_that_are_known(takes_long: list[Any], monkeypatch: pytest.MonkeyPatch):
+    """Of solutions that were evaluated while the curve was followed."""
+    monkeypatch.setattr(aside, "LOOKED", 1)
+    monkeypatch.setattr(evaluation, "OPEN", 4)
+    monkeypatch.setattr(evaluation, "PIECE", 4)
+    monkeypatch.setattr(Processes, "submit", at_once_here)
+
+    def interrupted(*_: Any) -> None:
+        if len(takes_long) >= 4:
+            raise KeyboardInterrupt
+
+    with Processes(2) as own:
+        data, _, reason = followed(LONG, LONG.plan, Execution(progress=interrupted, processes=own))
+    assert reason is not None
+    assert "interrupted before all multipliers" in reason
+    known = np.isfinite(data.floquet_max.values)
+    assert 3 * 4 <= known.sum() < known.size
+    evaluated = np.concatenate([given[1].p for name, given in takes_long if name == "piece"])
+    assert set(data.frequency.values[known]) <= set(evaluated)
+    assert data.stable.values[~known].any()
+
+
 def test_solutions_are_evaluated_while_the_other_part_is_waited_for(
     takes_long: list[Any], monkeypatch: pytest.MonkeyPatch
 ):

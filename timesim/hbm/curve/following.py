@@ -27,6 +27,8 @@ class Aside(Protocol):
 
     each: Each
     """The pieces of the whole curve, some of which may have been evaluated meanwhile."""
+    known: Each
+    """Those that have been evaluated, as they are; the others by this process."""
 
     def part(self, model: Model, start: float, first: float, last: float) -> Elsewhere:
         """Begin `part_of_curve`."""
@@ -101,7 +103,7 @@ def hbm_curve(
         return follow(balance, first, start, stop, to_end, from_end=from_end)
 
     curve = curve_near(balance, place, place, steps, guess, followed)
-    return finished(balance, curve, evaluated, stability, each_here if aside is None else aside.each)
+    return finished(balance, curve, evaluated, stability, aside)
 
 
 def part_of_curve(
@@ -139,13 +141,15 @@ def _evaluated_meanwhile(
     return replace(controls, watch=watch)
 
 
-def left_part(model: Model, start: float, part: Curve, schemes: Sequence[Scheme], *, stability: bool) -> HbmCurve:
+def left_part(
+    model: Model, start: float, part: Curve, schemes: Sequence[Scheme], *, stability: bool, aside: Aside
+) -> HbmCurve:
     """A `part_of_curve` that a curve was interrupted before it met, as another curve that was interrupted."""
     balance = _balance_of(model, start, schemes)
     place = part.message.split(": ")[0]
     message = f"{place} from the other end of the range: {Ending.INTERRUPTED.value}"
     cut = replace(part, ending=Ending.INTERRUPTED, message=message)
-    return finished(balance, cut, evaluated, stability)
+    return finished(balance, cut, evaluated, stability, aside)
 
 
 def schemes_of(scheme: Scheme | Sequence[Scheme] | None) -> Sequence[Scheme]:
@@ -154,18 +158,26 @@ def schemes_of(scheme: Scheme | Sequence[Scheme] | None) -> Sequence[Scheme]:
 
 
 def finished(
-    balance: AdaptiveBalance, curve: Curve, evaluate: Callable[..., HbmCurve], stability: bool, each: Each = each_here
+    balance: AdaptiveBalance,
+    curve: Curve,
+    evaluate: Callable[..., HbmCurve],
+    stability: bool,
+    aside: Aside | None = None,
 ) -> HbmCurve:
-    """`by_schemes`; without multipliers, which take long, where an interrupt came or comes meanwhile."""
+    """`by_schemes`; where an interrupt came or comes meanwhile without the multipliers that are not known, as they
+    take long.
+    """
+    each, known = (each_here, each_here) if aside is None else (aside.each, aside.known)
     if not stability or curve.ending is not Ending.INTERRUPTED:
         try:
             return by_schemes(balance, curve, partial(evaluate, stability=stability), each)
         except KeyboardInterrupt:
             done = curve.message.replace(": complete: ", ": ")
             curve = replace(curve, ending=Ending.INTERRUPTED, message=f"{done}; {Ending.INTERRUPTED.value}")
-    if stability:
-        curve = replace(curve, message=f"{curve.message} before the multipliers")
-    return by_schemes(balance, curve, partial(evaluate, stability=False))
+    found = by_schemes(balance, curve, partial(evaluate, stability=False), known)
+    if stability and (left := np.isnan(found.floquet_max)).any():
+        found = replace(found, message=f"{found.message} before {'the' if left.all() else 'all'} multipliers")
+    return found
 
 
 def _check_range(start: float, stop: float) -> None:

@@ -45,7 +45,7 @@ class Aside:
         for part, model, start in self._parts:
             curve = part.left() if part.given_up else None
             if curve is not None and curve.p.size and not np.isclose(curve.p[0], ends).any():
-                yield left_part(model, start, curve, self.schemes, stability=stability)
+                yield left_part(model, start, curve, self.schemes, stability=stability, aside=self)
 
     def meanwhile(self, start: float, work: Work, pieces: Pieces, so_far: Callable[[], Curve]) -> None:
         """Evaluate the solutions of the part that is followed elsewhere, once it has ended, and those so far."""
@@ -85,6 +85,10 @@ class Aside:
         if len(pieces) < 2 or sum(curve.x.size for _, curve in pieces) < WORK:
             return each_here(work, pieces)
         return self._evaluation.all_of(work, pieces)
+
+    def known(self, work: Work, pieces: Sequence[Piece]) -> list[Signed]:
+        """The pieces that have been evaluated, as they are; the others by this process."""
+        return [self._evaluation.known(piece) or work(*piece) for piece in pieces]
 
 
 class Evaluation:
@@ -155,6 +159,12 @@ class Evaluation:
             self.processes.give_up(self.running)
             raise
         return [self._result(work, piece) for piece in pieces]
+
+    def known(self, piece: Piece) -> Signed | None:
+        """What has come of a piece; None where nothing has."""
+        future = self._begun.get(_key(piece))
+        whole = future is not None and future.done() and not future.cancelled() and future.exception() is None
+        return future.result() if whole else None
 
     def _result(self, work: Work, piece: Piece) -> Signed:
         if (future := self._begun.get(_key(piece))) is not None:

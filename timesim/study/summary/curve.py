@@ -57,7 +57,8 @@ def _curve_line(curve: Dataset) -> str:
     key = curve.attrs.get("along", "frequency")
     where = with_unit(f"{place:.6g}" if key == "frequency" else f"{key} = {place:.6g}", units)
     where += ", an end of the curve" if place in along[[0, -1]] else ""
-    only = "" if np.isfinite(curve["floquet_max"].values).any() else " by folds alone"
+    known = np.isfinite(curve["floquet_max"].values)
+    only = "" if known.all() else f"{' in part' * bool(known.any())} by folds alone"
     top = with_unit(f"{height:.5g}", curve["amplitude"].attrs)
     unstable = counted(int(np.sum(~stable & ~fold)), "unstable solution")
     return f"peak {top} of {name} at {where}; {turning}{also}; {unstable}{only}; {states}"
