@@ -14,9 +14,11 @@ the same solutions come out each time; another process takes two to start."""
 
 
 class Elsewhere(Protocol):
-    """A curve that another process follows; `share`: of its range that it has reached."""
+    """A curve that another process follows."""
 
-    share: float
+    @property
+    def share(self) -> float:
+        """Of its range that it has reached."""
 
     def curve(self) -> Curve | None:
         """The curve once it has ended, None if it failed or the process did not live so long."""

@@ -13,7 +13,17 @@ import numpy as np
 from timesim.hbm.adaptive import AdaptiveBalance
 from timesim.hbm.balance import Balance
 from timesim.hbm.continuation import Controls, Curve, Elsewhere, Ending, follow, follow_both_ways, part_of
-from timesim.hbm.curve.evaluation import Each, Pieces, Work, by_schemes, each_here, evaluated, signed, whole_pieces
+from timesim.hbm.curve.evaluation import (
+    Piece,
+    Pieces,
+    Signed,
+    Work,
+    by_schemes,
+    each_here,
+    evaluated,
+    signed,
+    whole_pieces,
+)
 from timesim.hbm.curve.record import HbmCurve, Watch
 from timesim.hbm.first_guess import curve_near
 from timesim.hbm.hidden import steps_to_resolve
@@ -25,10 +35,11 @@ from timesim.orbit.fourier import Array
 class Aside(Protocol):
     """Other processes that take a part of the work on a curve that takes long."""
 
-    each: Each
-    """The pieces of the whole curve, some of which may have been evaluated meanwhile."""
-    known: Each
-    """Those that have been evaluated, as they are; the others by this process."""
+    def each(self, work: Work, pieces: Sequence[Piece], /) -> list[Signed]:
+        """The pieces of the whole curve, some of which may have been evaluated meanwhile."""
+
+    def known(self, work: Work, pieces: Sequence[Piece], /) -> list[Signed]:
+        """Those that have been evaluated, as they are; the others by this process."""
 
     def part(self, model: Model, start: float, first: float, last: float) -> Elsewhere:
         """Begin `part_of_curve`."""

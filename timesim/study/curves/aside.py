@@ -163,8 +163,9 @@ class Evaluation:
     def known(self, piece: Piece) -> Signed | None:
         """What has come of a piece; None where nothing has."""
         future = self._begun.get(_key(piece))
-        whole = future is not None and future.done() and not future.cancelled() and future.exception() is None
-        return future.result() if whole else None
+        if future is None or not future.done() or future.cancelled() or future.exception() is not None:
+            return None
+        return future.result()
 
     def _result(self, work: Work, piece: Piece) -> Signed:
         if (future := self._begun.get(_key(piece))) is not None:
