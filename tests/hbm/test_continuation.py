@@ -102,18 +102,21 @@ def test_folds_with_one_point_between_them():
 
 
 def test_a_fold_beside_a_point_with_the_tangent_of_earlier_derivatives():
-    """The farthest point lies behind the fold, but its tangent is one from before it."""
+    """The farthest point lies behind the fold, but its tangent and determinant are those from before it."""
     corrector = Corrector(Cubic(), CONTROLS, 20.0, np.full(2, -1.0))
 
     def point(y):
         return corrector.simplified_newton(corrector.in_units(np.full(2, y), y**3 - 3 * y), np.array([1.0, 1.0, 0.0]))
 
-    trace = Trace(corrector, 1.0)
-    for own in (point(-1.2), replace(point(-0.98), tangent=point(-1.05).tangent), point(-0.9)):
+    trace, earlier = Trace(corrector, 1.0), point(-1.05)
+    behind = replace(point(-0.98), tangent=earlier.tangent, determinant=earlier.determinant)
+    for own in (point(-1.2), behind, point(-0.9)):
         trace.add(own)
     ((x, p),) = [(x, p) for x, p, fold, _ in trace.solutions if fold]
     assert p == pytest.approx(2.0, abs=1e-9)
     np.testing.assert_allclose(x, -1.0, atol=1e-4)
+    np.testing.assert_allclose([own[0] for own, *_ in trace.solutions], [-1.2, -1.0, -0.98, -0.9], atol=1e-4)
+    assert [sign for *_, sign in trace.solutions] == [1, 0, -1, -1]
 
 
 def test_a_fold_that_is_not_found_between_solutions_is_not_the_one_before(monkeypatch):
@@ -193,6 +196,38 @@ def test_a_curve_that_takes_long_is_followed_from_both_ends(monkeypatch, ends):
         assert sign == (0 if fold else np.sign(3 * x[0] ** 2 - 3))
     way = np.diff(both.x[:, 0]) * np.sign(stop - start)
     assert np.all(way > 0)  # no solution twice
+
+
+def test_folds_that_lie_in_the_part_from_the_other_end(monkeypatch):
+    """They are passed in the other order there; what is done meanwhile counts as reached."""
+    monkeypatch.setattr(other_end, "WORK", 2)
+    begun, seen = [], []
+
+    def from_end(middle: float) -> OtherProcess:
+        begun.append(middle)
+        return OtherProcess(follow(Cubic(), np.full(2, 2.1), 3.0, middle, CONTROLS))
+
+    watched = replace(CONTROLS, watch=lambda share, so_far: seen.append((share, so_far().p[-1])))
+    both = follow(Cubic(), np.full(2, -2.5), -10.0, 3.0, watched, from_end=from_end)
+    assert both.complete
+    x, (middle,) = both.x[:, 0], begun
+    assert middle < -2
+    assert np.all(np.diff(x) > 0)
+    np.testing.assert_allclose(both.p[both.fold], [2.0, -2.0], atol=1e-9)
+    np.testing.assert_array_equal(both.determinant, np.where(both.fold, 0, np.sign(np.abs(x) - 1)))
+    assert both.p[~both.backwards][-1] == pytest.approx(middle)
+    np.testing.assert_allclose(*np.array([(share, (p + 10 + 3 - middle) / 13) for share, p in seen[:-1]]).T)
+
+
+def test_both_parts_of_a_range_of_frequencies_have_as_many_resonances():
+    """Those of harmonics, at a natural frequency far above divided by their orders."""
+    asked: list[float] = []
+    other = other_end.OtherEnd(lambda middle: asked.append(middle) or OtherProcess(None), 200.0)
+    other.count(other_end.WORK, 100.0)
+    (middle,), resonances = asked, 1e5 / np.arange(1, 2000)
+    low, high = (np.count_nonzero((resonances > a) & (resonances < b)) for a, b in ((100, middle), (middle, 200)))
+    assert low == pytest.approx(high, abs=1)
+    assert low + high > 400
 
 
 def test_a_curve_goes_on_alone_where_the_other_end_does_not_lead_to_it(monkeypatch):
@@ -338,6 +373,44 @@ def test_a_corner_that_cannot_be_approached_is_crossed():
     assert curve.fold.sum() == 1
     assert abs(curve.p[curve.fold][0]) < 1e-3
     assert curve.x[:, 0].max() > 0.3
+
+
+@dataclass
+class Zigzag:
+    """As x grows from each whole number to the next, p goes straight between two of these places."""
+
+    places: np.ndarray
+
+    def value(self, x, p):
+        i = self.part(x[0])
+        return np.array([self.places[i] + (x[0] - i) * (self.places[i + 1] - self.places[i]) - p])
+
+    def linearised(self, x, p):
+        i = self.part(x[0])
+        return self.value(x, p), np.array([[self.places[i + 1] - self.places[i]]]), -np.ones(1)
+
+    def part(self, x):
+        return np.clip(np.floor(x), 0, self.places.size - 2).astype(int)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_corners_of_any_turn_are_passed_in_their_order(seed):
+    """Wherever the steps before have come to: a correction that is longer than its step may be that of a corner."""
+    rng = np.random.default_rng(seed)
+    slopes = rng.uniform(0.2, 3, size=6) * rng.choice([1, 1, -1], size=6)
+    slopes[0] = slopes[-1] = 1 + abs(slopes[0])
+    places = np.append(0.0, np.cumsum(slopes))
+    places[[0, -1]] = min(places[0], places[1:-1].min() - 0.5), max(places[-1], places[1:-1].max() + 0.5)
+    zigzag, slopes = Zigzag(places), np.diff(places)
+    curve = follow(zigzag, np.zeros(1), places[0], places[-1], Controls(size=1.0, max_step=0.05))
+    assert curve.complete, curve.message
+    x = curve.x[:, 0]
+    assert np.all(np.diff(x) > -1e-6)
+    turns = 1 + np.flatnonzero(slopes[1:] * slopes[:-1] < 0)
+    assert np.count_nonzero(curve.fold) == turns.size
+    np.testing.assert_allclose(x[curve.fold], turns, atol=0.01)
+    clear = np.abs(x - np.round(x)) > 0.01
+    np.testing.assert_array_equal(curve.determinant[clear], np.sign(slopes[zigzag.part(x)])[clear])
 
 
 class NarrowReturn:

@@ -202,7 +202,7 @@ class _PathTracker:
             beside = bool(np.linalg.norm(new.y - guess) > length)
             elsewhere = beside or new.orientation * point.orientation < 0
             if turn > self.controls.turn * (0.5 if elsewhere else 2) or (elsewhere and length > BRANCHING):
-                if not elsewhere and (step := self._around_corner(point, length, new)) is not None:
+                if (step := self._around_corner(point, length, new)) is not None:
                     return step
                 length /= 3
                 continue
