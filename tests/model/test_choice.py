@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from simulation import simulate
 from systems import generated_model, oscillator, scene
 
 from timesim.model.choice import TABLE, choice, contact_rate
@@ -18,10 +19,11 @@ from timesim.model.cost import (
     slip_rates,
     slip_steps,
     stable_steps,
+    steps_for,
 )
 from timesim.model.model import Model
 from timesim.model.promise import preset
-from timesim.model.solver import CLOSED_FORM, Solver
+from timesim.model.solver import CLOSED_FORM, COMPANION, Solver
 from timesim.scene.report import describe
 from timesim.study.outcome import attributes
 from timesim.study.registry import load_scene
@@ -124,6 +126,26 @@ def test_under_a_steady_load_it_is_mu_n_that_counts() -> None:
     assert slip_steps(load_scene(_mass(preload=2.02 * held, **soft)).model(), 1.5) == 0.0
 
 
+@pytest.mark.parametrize("normal_stiffness", [0.0, 7.0])
+def test_what_slides_is_told_by_the_force_along_the_surface_in_resonance_too(normal_stiffness: float) -> None:
+    """By hand: where the held mass is in resonance along x its damper alone balances the load, u = 1 / (c omega)."""
+    omega, scene = 2 * np.pi * 1.5, _mass(friction=0.01, normal_stiffness=normal_stiffness)
+    stiffness, damping = omega**2 - 5.0, 0.3
+    scene["structure"]["modes"][0] |= {
+        "frequency": float(np.sqrt(stiffness)) / (2 * np.pi),
+        "damping_ratio": damping / (2 * float(np.sqrt(stiffness))),
+    }
+    scene["excitation"]["modal_force"][2]["amplitude"] = 10.0
+    held = 5.0 / abs(1e-3j * stiffness + 1j * damping * omega)
+    for share, slides in ((0.98, True), (1.02, False)):
+        scene["contacts"][0]["preload"] = share * held / 0.01
+        model = load_scene(scene).model()
+        assert (slip_steps(model, 1.5) > 0) == slides
+        free = 1 / abs(stiffness - omega**2 + 1e-3j * stiffness + 1j * damping * omega)
+        pressed = 10.0 * normal_stiffness / abs(40.0 + normal_stiffness - omega**2)
+        assert slip_rates(model, 1.5) == pytest.approx(5 * omega * free / (share * held + 0.01 * pressed), rel=1e-2)
+
+
 def test_check_warns_of_a_method_that_slip_takes_beyond_the_budget() -> None:
     sliding = _mass(friction=0.5, preload=0.02, normal_stiffness=0.0, tangential_stiffness=5e6)
     (line,) = (
@@ -138,7 +160,9 @@ def test_nothing_turns_where_nothing_slides_or_only_along_a_line() -> None:
     assert slip_rates(load_scene(_mass(friction=0.0, tangential_stiffness=0)).model(), 1.5) == [0.0]
     free = 1 / abs(40.0 * (1 + 1e-3j) - (2 * np.pi * 1.5) ** 2)
     assert slip_rates(load_scene(_mass(preload=-7.0 * free * 1.001)).model(), 1.5) == [0.0]
-    assert slip_rates(load_scene(_mass(preload=-7.0 * free * 0.999)).model(), 1.5) > [0.0]
+    speed, pressed = (1 / abs(k * (1 + 1e-3j) - (2 * np.pi * 1.5) ** 2) for k in (30.0, 47.0))
+    rate = 5 * 2 * np.pi * 1.5 * speed / (0.2 * 7 * pressed)
+    assert slip_rates(load_scene(_mass(preload=-7.0 * free * 0.999)).model(), 1.5) == pytest.approx(rate)
     assert slip_rates(load_scene(_mass(modes=[0, 2])).model(), 1.5) == [0.0]
     assert slip_steps(oscillator(3.0, 1.39), 0.9) < stable_steps(oscillator(3.0, 1.39), 0.9)
 
@@ -175,6 +199,25 @@ def test_steps_that_slip_asks_for_count_for_explicit_methods_alone() -> None:
     explicit, other = (Solver(name, 1e-7, 1e-9) for name in ("tsit5", "exponential"))
     assert seconds(model, explicit, work) > 50 * seconds(model, other, work)
     assert seconds(model, other, work) < seconds(oscillator(3.0, 1.39), explicit, work)
+
+
+def test_the_steps_that_stability_asks_for_are_those_of_a_run() -> None:
+    """Of one whose contact sticks: its stiffest vibration has died out, and the steps follow it all the same."""
+    model, solver = stuck(2e4), Solver("tsit5", 1e-7, 1e-9, reduce=False)
+    damped = replace(model, structure=replace(model.structure, damping=15 * model.structure.damping))
+    least, multiple = steps_for(solver)
+    *_, last = simulate(damped, 16, solver).totals.steps
+    assert last > 4 * least
+    assert least + multiple * stable_steps(damped, 1.39) == pytest.approx(last, rel=0.3)
+
+
+def test_the_work_of_a_schedule_is_that_of_its_phases() -> None:
+    phases, model, solver = ((3.0, 10), (1.0, 5), (2.0, 7)), oscillator(3.0, 1.39), Solver("tsit5", 1e-7, 1e-9)
+    alone, estimated = (Work.of_run(phases, estimated=also) for also in (False, True))
+    assert (alone.lowest, alone.run_cycles) == (1.0, 22)
+    parts = [seconds(model, solver, Work.of_run((phase,), estimated=False)) for phase in phases]
+    assert seconds(model, solver, alone) == pytest.approx(sum(parts))
+    assert seconds(model, solver, estimated) == pytest.approx((1 + COMPANION) * sum(parts))
 
 
 # Through the scene file

@@ -77,6 +77,13 @@ def test_its_points_are_those_of_a_sweep(result):
     assert np.all(np.isfinite(result["final_modal_displacement"]))
 
 
+def test_both_sweeps_of_one_motion_have_its_amplitude_at_the_same_frequencies(result):
+    """There is one motion at each of them, so that it does not matter from where it is come to."""
+    up, down = (result["amplitude"].sel(direction=direction).values for direction in ("up", "down"))
+    assert np.ptp(up[0, :, 0, 0]) > 0.1 * up.max()
+    np.testing.assert_allclose(down, up, rtol=1e-4, atol=1e-6)
+
+
 def test_the_summary_and_the_pictures(folder, result):
     said = (folder / "said").read_text()
     assert f"at {KEY} = {float(result['optimum']):.6g}" in said
@@ -159,20 +166,22 @@ def test_a_stage_that_cannot_be_kept_ends_the_search_and_keeps_the_values(monkey
         peaks.take([3.3], "")
 
 
-@pytest.mark.parametrize("unit", [1.0, 1e-9])
-def test_both_motions_at_a_frequency_are_refined_in_any_unit(unit: float, monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize(("unit", "smaller"), [(1.0, 0.3), (1e-9, 0.3), (1.0, 0.97)])
+def test_both_motions_at_a_frequency_are_refined_in_any_unit(
+    unit: float, smaller: float, monkeypatch: pytest.MonkeyPatch
+):
     """That of the sweep up is smaller where that of the sweep down peaks."""
     scene = load_scene(CONFIGS / "preload.yaml")
     response, count = Response(scene.model(), scene.plan, scene.solver()), scene.plan.sweep.frequency.size
     up, down = np.full(count, 0.3), np.full(count, 0.5)
-    down[2] = 1.0
+    up[2], down[2] = smaller, 1.0
     monkeypatch.setattr(Response, "size", lambda _, orbit: orbit.largest)
     model, refined = scene.model(), list[int]()
     orbits = [[replace(without_orbit(model, ""), amplitude=np.full((1, 3), unit * size)) for size in own]
               for own in (up, down)]  # fmt: skip
     monkeypatch.setattr(optimum, "_refined", lambda _, orbit, i: (refined.append(i), optimum.Peak(-np.inf))[1])
     assert _peak(response, orbits).peak == pytest.approx(unit)
-    assert refined == [2]
+    assert refined == ([2, 2] if smaller > optimum.NEARLY else [2])
 
 
 def test_the_point_and_axis_of_a_peak_are_among_those_that_count():
@@ -182,6 +191,9 @@ def test_the_point_and_axis_of_a_peak_are_among_those_that_count():
     for point, axis, size, place in ((None, None, 0.7, 1), ("tip", "z", 0.5, 2), (None, "x", 0.3, 0)):
         response = Response(model, replace(scene.plan, point=point, axis=axis), scene.solver())
         assert (response.size(orbit), response.place(orbit)) == (size, place)
+    still = replace(orbit, amplitude=np.array([[0.3, 0.7, 0.0]]))
+    response = Response(model, replace(scene.plan, point=None, axis="z"), scene.solver())
+    assert (response.size(still), response.place(still)) == (0.0, 2)
 
 
 @pytest.mark.parametrize("best", [3.64836, 0.5, 9.9996, 7.0])
