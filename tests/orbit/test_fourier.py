@@ -9,6 +9,7 @@ from timesim.orbit.fourier import (
     fourier_basis,
     fourier_coefficients,
     half_range,
+    phase_deg,
     to_coefficients,
     to_phasors,
     weighted,
@@ -52,6 +53,28 @@ def test_coefficients_of_samples():
     found = fourier_coefficients(fourier_basis(theta, 7) @ coefficient, phase)
     np.testing.assert_allclose(found[:7], coefficient, atol=1e-13)
     np.testing.assert_allclose(found[7:], 0, atol=1e-13)
+
+
+@pytest.mark.parametrize("count", [16, 17])
+def test_there_are_no_more_coefficients_than_samples(count):
+    """What changes its sign from each of an even number to the next is a cosine of any size: it is left out."""
+    samples = np.random.default_rng(4).normal(size=count)
+    found = fourier_coefficients(samples, 0.3)
+    assert len(found) <= count
+    again = fourier_basis(0.3 + TURN * np.arange(1, count + 1) / count, len(found)) @ found
+    left = samples - again
+    np.testing.assert_allclose(left, left[0] * (-1.0) ** np.arange(count) if count % 2 == 0 else 0.0, atol=1e-13)
+
+
+def test_the_phase_is_that_of_the_cosine():
+    """Of a motion that is all rounding beside where the structure stands there is none."""
+    begin, phase, count = 0.4, np.array([-170.0, 35.0, 120.0]), 64
+    theta = begin + TURN * np.arange(1, count + 1) / count
+    motion = np.cos(theta[:, None] + np.deg2rad(phase)) + 0.3 * np.sin(3 * theta)[:, None]
+    for mean, size in ((0.5, 1.0), (1e3, 1.0), (1e3, 1e-3), (1.0, 1e-10)):
+        phasor = to_phasors(fourier_coefficients(mean + size * motion, begin).T).T
+        found = phase_deg(phasor[:, None])[0]
+        np.testing.assert_allclose(found, phase if size > 1e-9 * mean else np.nan, atol=1e-6)
 
 
 @pytest.mark.parametrize(("harmonics", "count"), [(1, 16), (3, 17), (4, 16), (9, 300)])
