@@ -328,6 +328,10 @@ CHANGES = (
         ("study.A.to", "to: 4", "to: -4", "must be larger than from", "A: {from"),
         ("study.A.num", "num: 5", "num: 1", "must be >= 2", "A: {from"),
         ("study.A.step", "num: 5", "num: 5, step: 1", "is no key here", "A: {from"),
+        ("study.preload", "  D: 0.5", "  preload: -2\n  normal_stiffness: 0",
+         "must be > 0 where normal_stiffness is 0 (such a contact would never carry; a gap needs"),
+        ("study.normal_stiffness", "preload: 1.0\nstudy:\n", "preload: -2.0\nstudy:\n  normal_stiffness: 0\n",
+         "must be > 0 where preload is -2 (such a contact would never carry; a gap needs", "normal_stiffness: 0\n"),
     )),
     (JUMP, (
         ("study.samples_per_cycle", "cycle: 100", "cycle: 100000000", "at most 1000000000 samples of the 12 cycles"),

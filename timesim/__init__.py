@@ -65,6 +65,8 @@ _MODULES = {
 
 def __getattr__(name: str) -> Any:
     """Import a name when it is first used, so that the command line and workers do not pay for the rest."""
+    if name == "__version__":
+        return import_module("importlib.metadata").version("timesim")
     if name not in __all__:
         raise AttributeError(f"module 'timesim' has no attribute {name!r}")
     source = "open_result" if name == "open" else name

@@ -9,7 +9,6 @@ import io
 import json
 import os
 import sys
-import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import replace
@@ -26,17 +25,36 @@ app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help="Event-driven time integration of structures with frictional contacts.",
 )
 
+POINT = "DIR/show/AXIS=VALUE,..."
+"""Where the point of a sweep goes that is shown."""
 SECONDS_A_LINE = 60.0
 """Between two lines of progress where standard error is no terminal."""
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE.yaml", help="The scene file.")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite a result that is there.")]
 Overrides = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY.PATH=VALUE", help="Another value for a key of the scene; may be repeated."),
 ]
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        print(version("timesim"))
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it and exit.")
+    ] = False,
+) -> None:
+    """Event-driven time integration of structures with frictional contacts."""
 
 
 def _stop(status: int, message: str) -> NoReturn:
@@ -50,7 +68,7 @@ def run(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the run.")],
     overrides: Overrides = None,
     plots: Annotated[bool, typer.Option("--plots/--no-plots", help="Draw pictures.")] = True,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite a result that is there.")] = False,
+    force: Force = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with a run that was cut off.")] = False,
     cluster: Annotated[
         str | None,
@@ -160,6 +178,10 @@ def schema() -> None:
 @app.command()
 def plot(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run, or its result file.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="DIR", help="Folder of the pictures; that of the run by default."),
+    ] = None,
     kind: Annotated[str, typer.Option("--format", metavar="png|pdf|svg", help="Format of the files.")] = "png",
     log: Annotated[
         list[str] | None,
@@ -168,15 +190,17 @@ def plot(
 ) -> None:
     """Draw the pictures of a run again."""
     from timesim.result.file import StoreError
+    from timesim.result.folder import made_folder
     from timesim.result.netcdf import open_result, result_file
     from timesim.study.registry import draw
 
     try:
         result = open_result(folder)
+        place = made_folder(output) if output else result_file(folder).parent
     except StoreError as error:
         _stop(2, str(error))
     try:
-        pictures = draw(result, result_file(folder).parent, kind=kind, log=log or ())
+        pictures = draw(result, place, kind=kind, log=log or ())
         nothing = "there is nothing to draw: no point of the result was computed"
         print("\n".join(map(str, pictures)) or nothing)
     except ValueError as error:
@@ -192,31 +216,40 @@ def show(
         list[str] | None,
         typer.Option("--at", metavar="AXIS=VALUE", help="The point, by the axes of the sweep; may be repeated."),
     ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="DIR", help=f"Folder of its result; {POINT} by default.")
+    ] = None,
+    force: Force = False,
 ) -> None:
     """Compute the motion at a point of a sweep again, print what it does and draw it: loops, orbit, contact states."""
     from timesim.fault import RuleError, SceneError
+    from timesim.picture.draw import KINDS
     from timesim.result import netcdf
     from timesim.result.file import StoreError
-    from timesim.result.folder import SHOW_NAME
+    from timesim.result.folder import SHOW_NAME, check_point_folder, prepare_point_folder
     from timesim.study.point import point_again
-    from timesim.study.registry import draw
+    from timesim.study.registry import draw, picture_names
 
+    own = netcdf.result_file(folder)
     try:
+        if output:
+            check_point_folder(output, own, overwrite=force)
         point = point_again(folder, _asked(at or ()))
     except RuleError as error:
-        asked = f"--at {error.key[0]}={error.value}" if error.key else str(folder)
+        value = "..." if error.value is None else error.value
+        asked = f"--at {error.key[0]}={value}" if error.key else str(folder)
         _stop(2, f"{asked}: {error.rule} ({error.hint})")
     except (StoreError, SceneError) as error:
         _stop(2, str(error))
     print(*point.table, sep="\n")
-    place = netcdf.result_file(folder).parent / SHOW_NAME / point.name
+    place = output or own.parent / SHOW_NAME / point.name
     try:
-        place.mkdir(parents=True, exist_ok=True)
-        netcdf.save(point.motion, place / netcdf.RESULT_NAME)
+        prepare_point_folder(place, stale=picture_names("transient", KINDS))
+        own = netcdf.save(point.motion, place / netcdf.RESULT_NAME)
         pictures = draw(point.motion, place)
-    except (OSError, StoreError) as error:
+    except StoreError as error:
         _stop(1, str(error))
-    print(_written(place / netcdf.RESULT_NAME, pictures))
+    print(_written(own, pictures))
     if point.reason is not None:
         _stop(1, f"incomplete: {point.reason}")
 
@@ -292,16 +325,6 @@ def _bar(standing: "Standing") -> AbstractContextManager[Any]:
     return Live(get_renderable=drawn, console=Console(stderr=True), transient=True)
 
 
-def _unforeseen(error: Exception) -> str:
-    """What a user reads of an error that no command expects."""
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if Path(frame.filename).is_relative_to(Path(__file__).parent)]
-    place = f"{own[-1].filename}:{own[-1].lineno}"  # at least this module's
-    what = f"timesim has failed: {type(error).__name__}: {' '.join(str(error).split())} ({place})"
-    reason = "unless a file was changed or memory is short, this is an error of timesim"
-    return f"{what}\n{reason}; `python -X dev -m timesim` in place of `timesim` shows the calls that led to it"
-
-
 def main() -> None:
     """Entry point of the ``timesim`` command."""
     # Imports and traces leave half a million objects that stay alive. At Python's own threshold the garbage collector
@@ -315,9 +338,11 @@ def main() -> None:
     # xarray imports dask, if installed, with its first Dataset: 0.3 s. A module that is None is not imported.
     if not any(word.startswith("--cluster") for word in sys.argv):
         sys.modules.setdefault("dask", None)  # type: ignore[arg-type]
+    from timesim.fault import unforeseen
+
     try:
         app()
     except Exception as error:
         if sys.flags.dev_mode:
             raise
-        sys.exit(_unforeseen(error))
+        sys.exit(unforeseen(error))

@@ -1,10 +1,12 @@
 """Errors in a scene: rules broken at a key of a section, and problems with file and line as a user reads them."""
 
 import sys
+import traceback
 import warnings
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Any
 
 Key = tuple[str | int, ...]
@@ -99,5 +101,16 @@ def meant(word: str, known: Collection[str]) -> str:
 
 def nearest(word: str, known: Collection[str]) -> str:
     """A hint: the known word that is meant, or all of them."""
-    close = get_close_matches(word, list(known), n=1, cutoff=0.6) if isinstance(word, str) else []
+    last = [one for one in known if one.endswith(f".{word}")]  # contacts.pad.preload, of preload
+    close = last or (get_close_matches(word, list(known), n=1, cutoff=0.6) if isinstance(word, str) else [])
     return f"did you mean {close[0]}?" if close else f"known: {', '.join(known) or 'none'}"
+
+
+def unforeseen(error: Exception) -> str:
+    """What a user reads of an error that no command expects."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if Path(frame.filename).is_relative_to(Path(__file__).parent)]
+    place = f"{own[-1].filename}:{own[-1].lineno}"  # at least that of the command
+    what = f"timesim has failed: {type(error).__name__}: {' '.join(str(error).split())} ({place})"
+    reason = "unless a file was changed or memory is short, this is an error of timesim"
+    return f"{what}\n{reason}; `python -X dev -m timesim` in place of `timesim` shows the calls that led to it"

@@ -84,6 +84,12 @@ def test_pictures_are_drawn_by_run_and_again_by_plot(tmp_path: Path):
         assert sorted(tmp_path.glob("*.png")) == drawn
         for path in drawn:
             path.unlink()
+    elsewhere = tmp_path / "figures" / "pdf"
+    assert call("plot", tmp_path, "-o", elsewhere, "--format", "pdf")[0] == 0
+    assert sorted(path.stem for path in elsewhere.iterdir()) == [path.stem for path in drawn]
+    assert not list(tmp_path.glob("*.pdf"))
+    status, _, error = call("plot", tmp_path, "--output", tmp_path / "result.nc")
+    assert (status, "cannot be made" in error) == (2, True)
 
 
 def test_an_interrupt_while_pictures_are_drawn_says_that_the_result_is_saved(
@@ -427,6 +433,11 @@ def test_light_commands_load_no_jax(arguments: tuple[str, ...]):
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stderr.strip() == "[]"
+
+
+def test_the_version_is_that_of_results():
+    assert call("--version") == (0, f"{timesim.__version__}\n", "")
+    assert re.fullmatch(r"\d+\.\d+.*", timesim.__version__)
 
 
 def test_the_package_is_the_command_too():

@@ -49,6 +49,15 @@ def test_bad_scene(bad: BadScene, tmp_path: Path):
         assert f"{path}:{bad.line}: {bad.key}: " in str(caught.value)
 
 
+def test_a_map_whose_contact_would_never_carry_names_the_value():
+    """That of the contact itself where the map gives none."""
+    study = "study={kind: element_map, contact: pad, A: [1, 2], B: [1, 2], normal_stiffness: [0, 1]"
+    with pytest.raises(SceneError, match=r"study\.preload: -2\.5: must be > 0 where normal_stiffness is 0 \(such"):
+        load_scene(BASE, [study.replace("[0, 1]", "0") + ", preload: -2.5}"])
+    with pytest.raises(SceneError, match=r"study\.normal_stiffness: 0\.0: must be > 0 where preload is -3 \(such"):
+        load_scene(BASE, [study.replace("B: [1, 2]", "B: 1") + "}", "contacts.pad.preload=-3"])
+
+
 def test_a_tab_and_the_keys_of_a_range():
     with pytest.raises(SceneError, match=r":7: is no YAML.*use spaces, not tabs"):
         load_scene(BASE.replace("      shape: {tip: [1, 1", "\tshape: {tip: [1, 1"))

@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +35,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def call(folder: Path, *at: str) -> Any:
-    return CliRunner().invoke(app, ["show", str(folder), *(part for one in at for part in ("--at", one))])
+def call(folder: Path, *at: str, options: Sequence[object] = ()) -> Any:
+    return CliRunner().invoke(
+        app, ["show", str(folder), *(part for one in at for part in ("--at", one)), *map(str, options)]
+    )
 
 
 @pytest.mark.parametrize("point", [POINT, POINT | {PRELOAD: 3, "direction": "up"}])
@@ -66,6 +69,26 @@ def test_the_command_prints_a_table_and_draws(folder: Path):
     assert any(line.startswith("pad") and f"{known.dissipated_power.item():.5g}" in line.split() for line in said)
     drawn = {path.name for path in (folder / "show" / f"{PRELOAD}=-1,direction=down,frequency=0.97").iterdir()}
     assert {"hysteresis.png", "orbit.png", "contact_states.png", "result.nc"} <= drawn
+
+
+def test_a_point_goes_into_a_folder_of_ones_choice(folder: Path, tmp_path: Path):
+    """Which takes the place of an earlier point only if it is told to, and never that of a run."""
+    at, place = [f"{name}={value}" for name, value in POINT.items()], tmp_path / "point"
+    assert call(folder, *at, options=("-o", place)).exit_code == 0
+    assert {"hysteresis.png", "orbit.png", "result.nc"} <= {path.name for path in place.iterdir()}
+    (place / "orbit.pdf").touch()
+    other = [*at[:1], "direction=up", *at[2:]]
+    refused = call(folder, *other, options=("--output", place))
+    assert refused.exit_code == 2
+    assert f"{place / 'result.nc'} exists; choose another folder or give --force" in refused.stderr
+    assert call(folder, *other, options=("-o", place, "--force")).exit_code == 0
+    assert "direction up" in timesim.open(place).attrs["title"]
+    assert not (place / "orbit.pdf").exists()
+    (place / "scene.yaml").touch()
+    for run in (folder, place):
+        refused = call(folder, *at, options=("-o", run, "--force"))
+        assert refused.exit_code == 2
+        assert f"{run} is the folder of a run; choose another" in refused.stderr
 
 
 def test_the_title_of_the_pictures_names_the_point_first(folder: Path):
@@ -138,6 +161,8 @@ def test_a_point_goes_with_the_run_that_it_was_of(tmp_path: Path):
     ("at", "message"),
     [
         (["frequncy=0.97"], r"--at frequncy=0.97: is no axis of the result \(did you mean frequency\?\)"),
+        (["preload=3"], rf"--at preload=3.0: is no axis of the result \(did you mean {PRELOAD}\?\)"),
+        (["frequency=0,97"], r"--at frequency=0,97: must be a frequency .*\(with a point for the decimals; it has"),
         (["frequency=0.98"], r"--at frequency=0.98: must be a frequency of the result \(it has 0.97, 1.2\)"),
         (["direction=left"], r"--at direction=left: must be a direction .*up, down"),
         (["frequency"], "write it as AXIS=VALUE"),
@@ -145,7 +170,7 @@ def test_a_point_goes_with_the_run_that_it_was_of(tmp_path: Path):
             ["frequency=0.97", "frequency=1.2"],
             "--at frequency=1.2: frequency is given already, as 0.97; show one",
         ),
-        (["frequency=0.97", "direction=up"], rf"must name the {PRELOAD} .*{PRELOAD} has -1, 3"),
+        (["frequency=0.97", "direction=up"], rf"--at {PRELOAD}=...: must name the {PRELOAD} .*{PRELOAD} has -1, 3"),
         (["frequency=0.97"], rf"4 match: {PRELOAD} -1, direction up; {PRELOAD} -1, direction down; {PRELOAD} 3"),
     ],
 )

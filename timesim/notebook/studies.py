@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from timesim.fault import RuleError, warn
 from timesim.notebook.parts import Section, array_of, given
 from timesim.result.argument import mapping_of, path_of
-from timesim.result.file import StoreError
+from timesim.result.folder import made_folder
 from timesim.result.label import is_scalar_key
 from timesim.study.outcome import DOUBT
 from timesim.study.point import point_again
@@ -193,8 +193,4 @@ def plot(
         rule = f"keep it as an axis, by a list of one: result.sel({one})"
         raise ValueError(f"result has a single {' and a single '.join(single)}: {rule}")
     place = path_of("folder", folder, "the path of a folder, which is made if it does not exist")
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StoreError(f"folder {folder} cannot be made ({error.strerror or error}): give another one") from None
-    return draw(result, place, kind=kind, log=[log] if isinstance(log, str) else log)
+    return draw(result, made_folder(place), kind=kind, log=[log] if isinstance(log, str) else log)

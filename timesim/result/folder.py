@@ -39,6 +39,31 @@ def check_folder(folder: Path | str, *, overwrite: bool = False) -> None:
         _refuse_other_files(path)
 
 
+def check_point_folder(folder: Path | str, result: Path, *, overwrite: bool = False) -> None:
+    """The same for a point of a sweep, with the result file of the sweep: it takes the place of no run.
+
+    Raises:
+        StoreError: with the reason and what to do.
+    """
+    path, own = Path(folder), result.absolute().parent
+    if os.path.exists(path / SCENE_NAME) or (os.path.isdir(path) and os.path.isdir(own) and path.samefile(own)):
+        raise StoreError(f"{path} is the folder of a run; choose another for a point of its sweep")
+    check_folder(path, overwrite=overwrite)
+
+
+def made_folder(folder: Path) -> Path:
+    """The folder, created if missing.
+
+    Raises:
+        StoreError: it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"folder {folder} cannot be made ({error.strerror or error}): give another one") from None
+    return folder
+
+
 def _refuse_other_files(path: Path) -> None:
     own = {SCENE_NAME, checkpoint.LOCK_NAME, checkpoint.FOLDER_NAME}
     others = sorted(item.name for item in path.iterdir() if item.name not in own and item.suffix != ".part")
@@ -89,13 +114,27 @@ def prepare_folder(
     _check_scene_file(target, scene, overwrite, source)
     if overwrite:
         checkpoint.clear(folder)
-        try:
-            for name in stale:
-                (folder / name).unlink(missing_ok=True)
-            _remove_shown(folder / SHOW_NAME)
-        except OSError as error:
-            raise StoreError(f"pictures in {folder} cannot be removed: {error.strerror or error}") from error
+        _remove(folder, stale)
     write_whole(target, scene.encode())
+
+
+def prepare_point_folder(folder: Path, *, stale: Iterable[str]) -> None:
+    """Make the folder of a point of a sweep, or remove pictures of an earlier one, of these names, from it.
+
+    Raises:
+        StoreError: the folder cannot be made or written.
+    """
+    _remove(made_folder(folder), stale)
+
+
+def _remove(folder: Path, pictures: Iterable[str]) -> None:
+    """Remove pictures, and the points of its sweep that were shown, from a folder."""
+    try:
+        for name in pictures:
+            (folder / name).unlink(missing_ok=True)
+        _remove_shown(folder / SHOW_NAME)
+    except OSError as error:
+        raise StoreError(f"pictures in {folder} cannot be removed: {error.strerror or error}") from error
 
 
 def _remove_shown(folder: Path) -> None:

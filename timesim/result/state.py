@@ -88,12 +88,12 @@ class SavedStates:
         """The arrays of the state that is asked for.
 
         Raises:
-            RuleError: no state fits, or more than one does.
+            RuleError: no state fits, or more than one does; then the key is the first axis without a value.
         """
         places = self.places(asked)
         for name, positions in places.items():
             if len(positions) > 1:
-                raise RuleError((), f"must name the {name} of a point of the sweep", self._matches(places))
+                raise RuleError((name,), f"must name the {name} of a point of the sweep", self._matches(places))
         arrays = self.at(tuple(positions[0] for positions in places.values()))
         if reason := str(arrays.get("failure", "")):
             raise RuleError((), f"names a point that could not be computed: {reason}", "take another")
@@ -180,7 +180,8 @@ def _position(name: str, values: np.ndarray, value: float | str) -> int:
         apart, limit = np.abs(values - value), max(SAME * abs(value), ROUNDING * np.abs(values).max())
     if not apart.min() <= limit:
         article = "an" if name[0] in "aeiou" else "a"
-        raise RuleError((name,), f"must be {article} {name} of the result", _listed(values, value), value)
+        point = "with a point for the decimals; " if isinstance(value, str) and values.dtype.kind not in "US" else ""
+        raise RuleError((name,), f"must be {article} {name} of the result", f"{point}{_listed(values, value)}", value)
     return int(np.argmin(apart))
 
 

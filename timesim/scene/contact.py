@@ -49,10 +49,12 @@ def _definite(stiffness: Any, info: ValidationInfo) -> Any:
 
 def _carries(preload: float, info: ValidationInfo) -> float:
     if info.data.get("normal_stiffness") == 0 and preload <= 0:
-        hint = "such a contact would never carry"
-        raise refuse("must be > 0 where normal_stiffness is 0", hint=hint, value=preload)
+        raise refuse("must be > 0 where normal_stiffness is 0", hint=NEVER_CARRIES, value=preload)
     return preload
 
+
+NEVER_CARRIES = "such a contact would never carry; a gap needs a normal_stiffness above 0"
+"""Hint where the bodies of a contact neither press on each other at rest nor can come to do so."""
 
 PARALLEL = 1e-6
 """Sine of the angle to the normal below which a direction counts as parallel to it."""

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from timesim.fault import FROM_SCENE, RuleError
 from timesim.model.model import GROUND, Contact
-from timesim.scene.contact import ContactSection
+from timesim.scene.contact import NEVER_CARRIES, ContactSection
 from timesim.scene.section import AsMapping, AsText, Section, by_form, refuse
 from timesim.scene.study import Context, StudySection
 from timesim.scene.value import (
@@ -223,9 +223,10 @@ class ElementMap(ElementSection):
         """The contact and the values of the parameters; the bodies must be able to touch at every pair of them."""
         section, given = self.chosen(context), self._given()
         values = {key: (getattr(section, key),) for key in OF_CONTACT} | given
-        if min(values["normal_stiffness"]) == 0 and min(values["preload"]) <= 0:
-            key = "preload" if "preload" in given else "normal_stiffness"
-            raise RuleError((key,), "must be > 0 where the other of preload and normal_stiffness is not")
+        if min(values["normal_stiffness"]) == 0 and (least := min(values["preload"])) <= 0:
+            if "preload" in given:
+                raise RuleError(("preload",), "must be > 0 where normal_stiffness is 0", NEVER_CARRIES, least)
+            raise RuleError(("normal_stiffness",), f"must be > 0 where preload is {least:g}", NEVER_CARRIES, 0.0)
         if "friction" in given and not np.any(section.stiffness_matrix()):
             raise RuleError(("friction",), "needs a contact with a tangential stiffness")
         if "friction" in given and section.friction == 0:
