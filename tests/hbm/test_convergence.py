@@ -25,7 +25,7 @@ def test_what_has_no_solution_does_not_count_as_the_same(monkeypatch):
     found = convergence.convergence([known], Scheme(9, 256))
     assert found.harmonics.tolist() == [1, 3, 5, 7, 9]
     np.testing.assert_allclose(found.with_harmonics, [np.nan, np.nan, 1e-5, 1e-7, 1e-7], rtol=0.02)
-    assert found.lost == {"1 harmonics": 1, "3 harmonics": 1}
+    assert found.lost == {"1 harmonic": 1, "3 harmonics": 1}
 
 
 def test_the_largest_change_of_any_amplitude_counts(monkeypatch):

@@ -1,5 +1,6 @@
 """Pictures of a sweep of a hardening spring whose response is known: what they show, not merely that there are any."""
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -543,6 +544,8 @@ def test_units_of_the_scene_are_those_of_the_labels() -> None:
     legend = figure.axes[0].get_legend()
     assert legend is not None
     assert "[kN]" in legend.get_title().get_text()
+    (label,) = _stars(plot_sweep.peak(data))
+    assert re.fullmatch(r"least: \S+ mm at 0 kN, an end", label)
 
 
 def test_a_sweep_of_which_every_point_failed(tmp_path: Path) -> None:

@@ -199,6 +199,8 @@ def test_resolved_scenes_write_the_defaults_that_depend_on_other_keys():
     assert "record_last: 60" in written["transient"]
     assert f"step: {(1.27 - 1.24) / 40}" in written["bistable"]
     assert "accuracy: 0.004" in written["optimum"]
+    wide = {"study.along": {PRELOAD: {"from": 1, "to": 60, "num": 6}}, "study.accuracy": None}
+    assert "accuracy: 0.059\n" in load_scene(OPTIMUM, wide).resolved_yaml()
     assert "first_step: 0.01" in written["hbm"]
     for text in written.values():
         assert load_scene(text).resolved_yaml() == text

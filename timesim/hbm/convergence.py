@@ -195,8 +195,8 @@ def convergence(known: Sequence[Known], scheme: Scheme) -> Convergence:
     by_harmonics = _refined(known, harmonics, lambda h: replace(scheme, harmonics=h, time_samples=enough))
     by_samples = _refined(known, samples, lambda n: replace(scheme, time_samples=n))
     lost = {
-        f"{int(number)} {name}": int(count)
-        for (numbers, _, counts), name in ((by_harmonics, "harmonics"), (by_samples, "samples"))
+        f"{int(number)} {name}{'s' * (int(number) != 1)}": int(count)
+        for (numbers, _, counts), name in ((by_harmonics, "harmonic"), (by_samples, "sample"))
         for number, count in zip(numbers, counts, strict=True)
         if count
     }

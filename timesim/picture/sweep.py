@@ -18,7 +18,7 @@ from timesim.picture.figure import axes, finish, from_zero, labelled, legend_bes
 from timesim.picture.response import DIRECTIONS, PAIRED, amplitude_label, axis_label, values_labels
 from timesim.picture.style import NEUTRAL, SERIES, Axes, Dataset, Figure, Picture, Series, short
 from timesim.result.coordinate import over_keys
-from timesim.result.label import counted, told_apart
+from timesim.result.label import counted, told_apart, with_unit
 
 MARKED = 45  # settled points of a curve with a marker; of more points only some are marked
 FEW = 3  # least number of values of a scalar for a picture of the peaks
@@ -114,18 +114,20 @@ def peak(
             least.setdefault((x, low), []).append((name, curve.style.colour))
     texts = dict(zip(value, told_apart(value, 4), strict=True))
     for (x, y), of in least.items():
-        _star(ax, x, texts[x], y, of, x in (value[0], value[-1]) and value.size > 1)
+        height, place = with_unit(f"{y:.4g}", data.amplitude.attrs), with_unit(texts[x], data[key].attrs)
+        end = ", an end" if x in (value[0], value[-1]) and value.size > 1 else ""
+        _star(ax, (x, y), f"{height} at {place}{end}", of)
     from_zero(ax)
     ax.set(xlabel=axis_label(data, key), ylabel=f"peak {amplitude_label(data, point, axis)}")
     return ax
 
 
-def _star(ax: Axes, x: float, place: str, y: float, curves: Sequence[tuple[str, str]], at_end: bool) -> None:
+def _star(ax: Axes, at: tuple[float, float], words: str, curves: Sequence[tuple[str, str]]) -> None:
     """The least peak: one star for all curves, given by name and colour, that have it at the same place."""
     names, colours = zip(*curves, strict=True)
     of = {1: ": ", 2: f" of {' and '.join(names)}:\n"}.get(len(names), f" of {len(names)} curves:\n")
     look: dict[str, Any] = {"color": colours[0], "markeredgecolor": "black", "ms": 10, "linestyle": "", "zorder": 4}
-    ax.plot(x, y, "*", label=f"least{of}{y:.4g} at {place}" + (", an end" if at_end else ""), **look)
+    ax.plot(*at, "*", label=f"least{of}{words}", **look)
 
 
 def peaks(amplitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -85,7 +85,7 @@ class Optimum(SteadySection):
         if self.accuracy is not None and self.accuracy > span / 2 * ROUNDED:
             rule = "must be at most half of the range of the scalar"
             raise refuse(rule, key=("accuracy",), value=self.accuracy)
-        return self.completed(accuracy=ACCURACY * span)
+        return self.completed(accuracy=float(f"{ACCURACY * span:.6g}"))  # as a user would write it
 
     def plan(self, context: Context | None = None) -> OptimumPlan:
         assert self.accuracy is not None

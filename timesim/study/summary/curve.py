@@ -90,7 +90,7 @@ def convergence_lines(refined: Convergence) -> list[str]:
     """How the answer depends on harmonics and time samples."""
     if not refined.count:
         return ["convergence: no stable solution slips or separates, so harmonics and samples change nothing"]
-    lost = ", ".join(f"{count} with {name}" for name, count in refined.lost.items())
+    lost = ", ".join(f"{counted(count, 'solution')} with {name}" for name, count in refined.lost.items())
     return [
         f"convergence of {counted(refined.count, 'solution')} with slip or separation, change from the finest: "
         + _listed(refined.harmonics, refined.with_harmonics, "harmonics"),
