@@ -270,6 +270,14 @@ def test_all_points_of_a_sweep_take_one_method() -> None:
     assert "method: auto" in one.resolved_yaml()
 
 
+def test_a_line_that_saves_nothing_in_a_sweep_leaves_it_to_the_next() -> None:
+    """Of a structure far faster than its contacts, unless explicit steps would run out."""
+    model = scene(MANY_MODES)
+    work = Work(((_frequency(model), LONG),), _frequency(model), side_by_side=16)
+    assert choice("standard", model, work, BUDGET).solver.name == "dopri8"
+    assert choice("standard", model, work, 20).solver.name == "exponential"
+
+
 def stuck(stiffness: float = 20.0) -> Model:
     """The oscillator whose contact is proven to stick."""
     model = oscillator(40.0, 1.39)

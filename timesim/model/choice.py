@@ -146,13 +146,14 @@ def choice(accuracy: str, model: Model, work: Work, budget: int, *, reduce: bool
             return Choice(replace(own, name="exponential"), UNSEEN)
         left = BETWEEN * PROMISE[accuracy]
         return Choice(Solver(CLOSED_FORM, left, left / 100), LINEAR)
-    lines = (line for line in TABLE if accuracy in line.accuracies and line.applies(model, frequency))
-    line = next(lines, None)
+    sweep = work.side_by_side is not None
+    hopeless = max(stable_steps(model, frequency), SLIPPING * slip_steps(model, frequency)) > budget
+    lines = [line for line in TABLE if accuracy in line.accuracies and line.applies(model, frequency)]
+    # A line that saves nothing in a sweep leaves it to the next, unless explicit steps would run out.
+    line = next((line for line in lines if line.share[sweep] < 1 or hopeless), None)
     if line is None or line.method == own.name:
         return Choice(own, f"the method of accuracy {accuracy}, no other being much quicker on such a structure")
-    sweep = work.side_by_side is not None
     saved, compiling = (1 - line.share[sweep]) * seconds(model, own, work), line.compiling[sweep]
-    hopeless = max(stable_steps(model, frequency), SLIPPING * slip_steps(model, frequency)) > budget
     if saved <= compiling and not (hopeless and line.method in ("exponential", "kvaerno5")):
         shorter = f"{line.method} would save about {saved:.1g} s and take {compiling:g} s longer to compile"
         return Choice(own, f"the method of accuracy {accuracy}, since {shorter}")
