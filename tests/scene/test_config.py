@@ -49,6 +49,19 @@ def test_bad_scene(bad: BadScene, tmp_path: Path):
         assert f"{path}:{bad.line}: {bad.key}: " in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "hint"),
+    [
+        ("friction", "30 %", "as a share: 1 % is 0.01"),
+        ("tangential_stiffness", "2e4 N/m", "without quotes and unit, with a point for the decimals"),
+        ("preload", "3 N", "without quotes and unit, with a point for the decimals"),
+    ],
+)
+def test_a_number_with_a_unit_or_in_percent(key: str, value: str, hint: str):
+    with pytest.raises(SceneError, match=rf'contacts\.pad\.{key}: "{value}": must be a number.* \({hint}\)'):
+        load_scene(BASE, {f"contacts.pad.{key}": value})
+
+
 def test_a_map_whose_contact_would_never_carry_names_the_value():
     """That of the contact itself where the map gives none."""
     study = "study={kind: element_map, contact: pad, A: [1, 2], B: [1, 2], normal_stiffness: [0, 1]"

@@ -211,7 +211,8 @@ def _rule_error(details: Any, tree: type[SceneParts]) -> RuleError:
     value = None if details["loc"][-1:] == ("[key]",) else details["input"]
     if kind == "rule":
         rule = context.get("rule", details["msg"])
-        return RuleError(key, rule, context.get("hint", ""), _shown(context, value))
+        number = _as_number(value) if "a number" in rule else ""
+        return RuleError(key, rule, context.get("hint") or number, _shown(context, value))
     if kind in ("too_short", "too_long"):
         return RuleError(key, _length_rule(context), value=value)
     rule = RULES.get(kind, details["msg"]).format(**context)
@@ -255,11 +256,19 @@ def _hint(
         return "put - before it, as before each of several" if of_mappings else _above(location, tree)
     if kind == "string_type" and isinstance(value, int | float):
         return "put it in quotes"
-    if kind == "float_type" and isinstance(value, str):
-        return "without quotes and unit, with a point for the decimals"
+    if kind == "float_type":
+        return _as_number(value)
     if kind == "int_type" and isinstance(value, str):
         return "without quotes and unit"
     return ""
+
+
+def _as_number(value: Any) -> str:
+    """How a number is written that is given as text; empty of what is no text."""
+    if not isinstance(value, str):
+        return ""
+    percent = value.rstrip().endswith("%")
+    return "as a share: 1 % is 0.01" if percent else "without quotes and unit, with a point for the decimals"
 
 
 def _neighbour(location: Sequence[str | int], tree: type[SceneParts]) -> str:
