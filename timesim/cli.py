@@ -135,7 +135,7 @@ def _carry_out(loaded: Any, execution: Any, signals: "Signals", *, plots: bool) 
         if outcome.reason is None:
             checkpoint.clear(output)
         else:
-            hint = "; --resume goes on with it" if checkpoint.resuming_helps(output, outcome.reason) else ""
+            hint = checkpoint.way_on(output, outcome.reason, outcome.groups[""])
             faults.append(f"incomplete: {outcome.reason}\nwhat was computed is in {path}, marked complete = 0{hint}")
     except StoreError as error:
         faults.append(str(error))

@@ -273,6 +273,7 @@ def test_an_interrupted_run_saves_what_it_has(
     signal.signal(signal.SIGHUP, ignored)
     assert status == 1
     assert "interrupted in cycle" in error
+    assert "marked complete = 0; another scene goes on from there with initial: {from: ...}" in error
     result = timesim.open_result(tmp_path)
     assert result.attrs["complete"] == 0
     assert 0 < result.sizes["cycle"] < 1000

@@ -22,7 +22,7 @@ from dataclasses import asdict, dataclass, field
 from glob import glob
 from importlib.metadata import version
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import filelock
 import numpy as np
@@ -32,12 +32,16 @@ from timesim.result.file import StoreError, write_whole
 from timesim.result.label import counted
 from timesim.result.netcdf import KEPT_NAME, RESULT_NAME, read
 
+if TYPE_CHECKING:
+    from xarray import Dataset
+
 FOLDER_NAME = KEPT_NAME
 MANIFEST_NAME = "manifest.json"
 LOCK_NAME = ".lock"
 SECONDS_NAME = "seconds"
 GROWING_NAME = "growing.nc"
 
+END = "final_modal_displacement"  # of a result that a start may be taken from
 INTERRUPTED = "interrupted"  # the reason of an interrupted campaign begins with it
 
 Result = Mapping[str, np.ndarray]
@@ -306,6 +310,18 @@ def resuming_helps(run_folder: Path | str, reason: str) -> bool:
         for name in manifest.chunks
     )
     return any(map(_count, folders)) and (missing or INTERRUPTED in reason)
+
+
+def way_on(run_folder: Path | str, reason: str, data: "Dataset") -> str:
+    """How a run that ended early is gone on with, for its message; empty where it can only be run again.
+
+    ``data``: its result, of which one run has a state at its end and no further points.
+    """
+    if resuming_helps(run_folder, reason):
+        return "; --resume goes on with it"
+    if INTERRUPTED in reason and END in data and data[END].dims == ("mode",):
+        return "; another scene goes on from there with initial: {from: ...}"
+    return ""
 
 
 def _is_whole(folder: Path, scene: str, data: str) -> bool:
