@@ -62,6 +62,23 @@ def test_a_number_with_a_unit_or_in_percent(key: str, value: str, hint: str):
         load_scene(BASE, {f"contacts.pad.{key}": value})
 
 
+def test_symbols_of_the_theory_are_taken_for_the_keys_that_they_mean():
+    """And these are not missed as well."""
+    meant = {"mu": "friction", "kt": "tangential_stiffness", "kn": "normal_stiffness", "n0": "preload"}
+    pad = {"name": "pad", "point": "tip"} | meant
+    with pytest.raises(SceneError) as caught:
+        load_scene(load_scene(BASE).source.data | {"contacts": [pad]})
+    assert {problem.hint for problem in caught.value.problems} == {f"did you mean {key}?" for key in meant.values()}
+    with pytest.raises(SceneError) as caught:
+        load_scene(MATRICES.replace("mass:", "M:").replace("stiffness:", "K:"))
+    assert [problem.hint for problem in caught.value.problems] == ["did you mean mass?", "did you mean stiffness?"]
+
+
+def test_a_file_in_place_of_matrices():
+    with pytest.raises(SceneError, match=r"structure\.matrices: .*\(a file is given as structure: {file: b\.npz"):
+        load_scene(MATRICES, {"structure": {"matrices": "b.npz"}})
+
+
 def test_a_map_whose_contact_would_never_carry_names_the_value():
     """That of the contact itself where the map gives none."""
     study = "study={kind: element_map, contact: pad, A: [1, 2], B: [1, 2], normal_stiffness: [0, 1]"

@@ -168,11 +168,18 @@ ELSEWHERE = {
     ("study", "accuracy"): "it is solver.accuracy",
     ("study", "method"): "it is solver.method",
     ("contacts", "gap"): "a gap is a negative preload, -normal_stiffness times its width",
-    ("contacts", "mu"): "it is friction",
+    ("contacts", "mu"): "did you mean friction?",
+    ("contacts", "kt"): "did you mean tangential_stiffness?",
+    ("contacts", "kn"): "did you mean normal_stiffness?",
+    ("contacts", "n0"): "did you mean preload?",
+    ("contacts", "N0"): "did you mean preload?",
+    ("structure", "M"): "did you mean mass?",
+    ("structure", "K"): "did you mean stiffness?",
+    ("structure", "C"): "did you mean damping?",
     ("excitation", "amplitude"): "each of forces, constant_forces and modal_force has its own",
     ("excitation", "phase_deg"): "each of forces and modal_force has its own",
 }
-"""What is said of keys that stand in another section, by the section, or the tag of its kind, and the key."""
+"""What is said of keys of another section or name, by the section, or the tag of its kind, and the key."""
 OTHER_NAMES = {
     "rk45": "dopri5 is this pair of Dormand and Prince",
     "ode45": "dopri5 is this pair of Dormand and Prince",
@@ -247,6 +254,8 @@ def _hint(
         if (name := str(value).lower()) in OTHER_NAMES:
             return OTHER_NAMES[name]
         return meant(value, str(context["expected"]).replace(" or ", ", ").replace("'", "").split(", "))
+    if kind == "model_type" and str(value).endswith((".npz", ".mat", ".mtx")):
+        return f"a file is given as structure: {{file: {value}, ...}}"
     if kind in ("dict_type", "model_type") and (fields := _fields_at(location, tree)):
         return f"its keys: {', '.join(fields)}"
     if kind == "tuple_type" and isinstance(value, dict) and value and all(part.isdecimal() for part in value):
