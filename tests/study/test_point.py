@@ -107,6 +107,18 @@ def test_a_contact_that_never_sticks_has_no_share_of_rounding(folder: Path, tmp_
     assert line.split()[1:4] == ["0", "0.45", "0.55"]
 
 
+def test_a_mean_of_rounding_is_none(folder: Path, tmp_path: Path):
+    data = timesim.open_result(folder).load()
+    data["harmonic_amplitude"].loc[{"harmonic": 0, "axis": "x"}] = -1e-14
+    netcdf.save(data, tmp_path / "result.nc")
+    done = call(tmp_path, *(f"{name}={value}" for name, value in POINT.items()))
+    x, y = (next(line for line in done.stdout.splitlines() if line.split()[:2] == ["tip", axis]) for axis in "xy")
+    assert x.split()[-1] == "0"
+    assert float(y.split()[-1]) == pytest.approx(
+        data["harmonic_amplitude"].sel(POINT).sel(harmonic=0, axis="y").item(), rel=1e-4
+    )
+
+
 @pytest.mark.parametrize("irregular", [0, 1])
 def test_ten_cycles_of_a_motion_without_a_period_are_shown(folder: Path, tmp_path: Path, irregular: int):
     data = timesim.open_result(folder).load()

@@ -21,6 +21,7 @@ from timesim.study.registry import carry_out, load_scene
 
 SAMPLES = 400  # of a cycle
 OTHER = 0.01  # share of the largest amplitude; that of a settled motion, from these samples, differs by less than 1e-3
+ROUNDING = 1e-9  # share of the amplitude up to which a mean is none; a motion settles to 1e-8 by default
 SHOWN = ("cycles", "harmonic_amplitude", "phase_deg", "dissipated_power", "irregular")
 """Variables of a point beside those of its state; results of earlier versions lack some."""
 POINTLESS = {
@@ -124,7 +125,7 @@ def _table(here: Dataset, motion: Dataset) -> Iterator[str]:
         "axis": [str(one["axis"].values) for one in shown],
         f"amplitude{unit(here, 'amplitude')}": [float(one["amplitude"]) for one in shown],
         f"phase{unit(here, 'phase_deg')}": [float(one["phase_deg"]) for one in shown],
-        f"mean{unit(here, 'harmonic_amplitude')}": [float(one["harmonic_amplitude"].sel(harmonic=0)) for one in shown],
+        f"mean{unit(here, 'harmonic_amplitude')}": [_mean(one) for one in shown],
     }
     yield from _lines(columns)
     if not here.sizes["contact"]:
@@ -142,6 +143,12 @@ def _table(here: Dataset, motion: Dataset) -> Iterator[str]:
         f"largest n{unit(motion, 'contact_force')}": force[..., 2].max(axis=0),
     }
     yield from _lines(columns)
+
+
+def _mean(one: Dataset) -> float:
+    """The mean of a motion along an axis, 0 where it is rounding."""
+    mean = float(one["harmonic_amplitude"].sel(harmonic=0))
+    return mean if abs(mean) > ROUNDING * float(one["amplitude"]) else 0.0
 
 
 def _lines(columns: Mapping[str, Iterable[Any]]) -> Iterator[str]:
