@@ -22,8 +22,9 @@ EXPLICIT = ("tsit5", "dopri5", "dopri8", "rk4")
 STEPS = {"draft": (38, 2.3), "standard": (75, 4.9), "reference": (63, 7.0)}
 """Steps of a cycle: for accuracy alone, and beside them for each one that stability asks for."""
 STABLE = STEPS["draft"][1]
-"""The fewest of these, by any tolerance. By dopri8 at rtol 2.9e-9 on a beam of six modes, 115 times as fast as its
-excitation, up to 2.8; by the tolerance alone 3.5."""
+"""Fewest steps for each one that stability asks for, by any tolerance.
+
+By dopri8 at rtol 2.9e-9 on a six-mode beam, 115 times as fast as its excitation, up to 2.8; by the tolerance 3.5."""
 RECORDED, SIDE_BY_SIDE = (3.0, 0.078), (0.75, 0.068)
 """Microseconds of a step of tsit5, and for each mode and contact: of a run that is recorded, of one of sixteen."""
 ALONE = 2.8
