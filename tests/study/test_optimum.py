@@ -235,6 +235,25 @@ def test_a_peak_that_is_the_same_over_a_span_is_told_and_drawn_so():
     assert high - low > 1e-4 * 2.8
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_peak_that_jumps_beside_the_least_one_is_told(sign: int):
+    """A motion that the sweeps of one value come to may go on at the next, to whose sweeps it is hidden."""
+    peaks = Known(lambda value: 1 + 0.1 * abs(value - 5.3) if sign * (value - 5.3) >= 0 else 3 + 0.1 * abs(value - 5.3))
+    peaks.search()
+    data = data_of(peaks).assign_attrs(complete=1)
+    (line,) = [line for line in optimum_lines(data, 1e-3) if "jumps" in line]
+    assert re.match(rf"the peak jumps beside it, to 3(\.\d+)? at {KEY} = 5\.(29|30)\d*, at 1 Hz: that motion may", line)
+    assert not any("jumps" in text for text in optimum_lines(data.assign_attrs(complete=0), 1e-3))
+
+
+@pytest.mark.parametrize("power", [0.5, 1, 2])
+@pytest.mark.parametrize("best", [3.64836, 9.9996])
+def test_a_peak_that_rises_beside_the_least_one_does_not_jump(best: float, power: float):
+    peaks = Known(lambda value: 0.1 + abs(value - best) ** power)
+    peaks.search()
+    assert not any("jumps" in line for line in optimum_lines(data_of(peaks).assign_attrs(complete=1), 1e-3))
+
+
 def test_peaks_that_are_rounding_are_the_same():
     """As of what is behind a clutch that slips all the time: it moves on evenly."""
     noise = np.random.default_rng(1)

@@ -1,8 +1,9 @@
 """The `optimum` study: the peak of the response over frequency against a scalar, and the value where it is least.
 
-Each value is swept up and down, so that the larger of two motions counts; near the largest points of both sweeps the
-peak is sought between their frequencies. The value of least peak is then sought between the neighbours of the least one
-by bounded minimisation [1]_, until no value at the distance of the accuracy has a smaller peak.
+Each value is swept up and down, so that the larger of two motions counts if a sweep comes to it; near the largest
+points of both sweeps the peak is sought between their frequencies. The value of least peak is then sought between the
+neighbours of the least one by bounded minimisation [1]_, until no value at the distance of the accuracy has a smaller
+peak.
 
 .. [1] R. P. Brent, *Algorithms for Minimization Without Derivatives*, Prentice-Hall (1973), chapter 5.
 """

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from xarray import Dataset
 
+from timesim.orbit.jump import AT_LEAST, STANDS_OUT
 from timesim.orbit.threshold import LONGEST
 from timesim.result.label import counted, with_unit
 from timesim.study.summary.sweep import unusual_lines
@@ -23,6 +24,21 @@ def as_low(peak: np.ndarray, at: int) -> tuple[int, int]:
     peak = np.where(is_nothing(peak), 0.0, peak)
     higher = np.flatnonzero(~(peak * (1 - TIE) <= peak[at]))
     return int(higher[higher < at].max(initial=-1)) + 1, int(higher[higher > at].min(initial=len(peak))) - 1
+
+
+def jumps_beside(values: np.ndarray, peak: np.ndarray, at: int) -> list[int]:
+    """Positions beside those as low as one of some peaks to which they jump up: by more a length than from there on."""
+    first, last = as_low(peak, at)
+    found = []
+    for edge, step in ((first, -1), (last, 1)):
+        near, far = edge + step, edge + 2 * step
+        if not 0 <= far < len(peak):
+            continue
+        rise = peak[near] - peak[edge]
+        beyond = abs(peak[far] - peak[near]) * (values[near] - values[edge]) / (values[far] - values[near])
+        if rise > max(AT_LEAST * peak[near], STANDS_OUT * beyond):
+            found.append(near)
+    return found
 
 
 def optimum_lines(data: Dataset, accuracy: float) -> Iterator[str]:
@@ -52,6 +68,10 @@ def optimum_lines(data: Dataset, accuracy: float) -> Iterator[str]:
     elif data.attrs["complete"] and beside:
         heights = " and ".join(f"{height(i)} at {at_value(i)}" for i in beside)
         yield f"an accuracy away the peak is not smaller: {heights}"
+    for i in jumps_beside(values, peak, at) if data.attrs["complete"] else ():
+        higher = f"{height(i)} at {key} = {at_value(i)}, at {data['peak_frequency'].values[i]:.6g} Hz"
+        unseen = "that motion may go on at the least peak, unseen by its sweeps; a wider frequency may show it"
+        yield f"the peak jumps beside it, to {higher}: {unseen}"
     if data.attrs["complete"] and best in (values[0], values[-1]):
         yield f"it is at an end of the range of {key}, so beyond it the peak may be smaller still"
     if vanishes:
