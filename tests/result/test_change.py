@@ -370,7 +370,7 @@ class _CapturedError(Exception):
 def payload(monkeypatch: pytest.MonkeyPatch, scene: dict[str, Any]) -> list[Any]:
     """The first payload of each type that a study in chunks makes."""
     kind = scene["study"]["kind"]
-    module = import_module(f"timesim.study.{kind}")
+    module = import_module(f"timesim.study.{kind}{'.search' * (kind == 'optimum')}")
 
     def capture(chunks: Any, *args: Any, **kwargs: Any) -> None:
         raise _CapturedError({type(chunk.payload): chunk.payload for chunk in reversed(chunks)})

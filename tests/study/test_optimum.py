@@ -11,6 +11,7 @@ from commands import CONFIGS, run_of_config
 from systems import oscillator
 
 import timesim
+from timesim.model.model import Start
 from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.settling import Chain, steady_states
 from timesim.orbit.steady_state import Orbit, blank_columns, without_orbit
@@ -18,10 +19,13 @@ from timesim.picture import optimum as plot_optimum
 from timesim.result.file import StoreError
 from timesim.scene.study import SweepPlan
 from timesim.scene.sweep import OptimumPlan
-from timesim.study import optimum
 from timesim.study import registry as plot
 from timesim.study.execution.campaign import Chunk, Execution
-from timesim.study.optimum import Peaks, Response, SearchError, _peak, data_of
+from timesim.study.optimum import peak as own_peak
+from timesim.study.optimum import search
+from timesim.study.optimum.peak import Motion, Response, _peak
+from timesim.study.optimum.search import Peaks, SearchError
+from timesim.study.optimum.study import data_of
 from timesim.study.registry import carry_out, load_scene
 from timesim.study.summary.optimum import optimum_lines
 
@@ -115,6 +119,42 @@ def test_an_optimum_at_the_end_of_the_range(tmp_path: Path):
         np.testing.assert_array_equal(again[name], record[name])
 
 
+def test_a_motion_to_which_no_sweep_comes_goes_on_from_a_value_beside(tmp_path: Path):
+    """With a gap of 4.2 rest leads to the motion of the open contact; the larger one lives on from a gap of 4."""
+    given = QUICK | {
+        "study.along": "{contacts.pad.preload: {from: -4.2, to: -3.8, num: 3}}",
+        "study.frequency": "{values: [0.944, 0.9445, 0.945]}",
+        "study.axis": "y",
+        "study.accuracy": "0.2",
+    }
+    scene = load_scene(CONFIGS / "preload.yaml", [f"{key}={value}" for key, value in given.items()])
+    execution = Execution(folder=tmp_path, notice=lambda text: None)
+    outcome = carry_out(scene, execution)
+    assert outcome.reason is None
+    assert any("at 1 value no sweep comes to the motion of the peak" in line for line in outcome.summary)
+    data = outcome.groups[""]
+    assert data["peak_carried"].values.tolist() == [1] + [0] * (data.sizes[KEY] - 1)
+    swept = data["amplitude"].sel(point="tip", axis="y")
+    place, frequency = {KEY: -4.0, "frequency": 0.944}, 0.944
+    start = end_state(swept.sel(place).argmax("direction").item(), data, place)
+    chain = Chain(replace(oscillator(-4.2, frequency), start=start), (frequency,))
+    ((orbit,),) = steady_states([chain], PRESETS["standard"], Criterion())
+    assert swept.sel({KEY: -4.2, "frequency": 0.944}).max() < 0.7 * orbit.amplitude[0, 1]
+    assert float(data["peak"][0]) > (1 - 1e-4) * orbit.amplitude[0, 1]
+    assert float(data["optimum"]) == -3.8
+    (tmp_path / "checkpoint" / "search-001" / "value-00000.npz").unlink(missing_ok=True)
+    again = carry_out(scene, replace(execution, resume=True)).groups[""]
+    for name in data.variables:
+        np.testing.assert_array_equal(again[name], data[name])
+
+
+def end_state(direction: int, data: Any, place: dict[str, float]) -> Start:
+    """The state that a result holds of a point of one of its sweeps."""
+    here = data.isel(direction=direction).sel(place)
+    names = ("final_modal_displacement", "final_modal_velocity", "final_slip", "final_contact_state")
+    return Start(*(here[name].values for name in names), 0.0)
+
+
 def test_an_optimum_of_points_that_all_fail_says_so():
     given = QUICK | {"solver.max_steps": "20"}
     outcome = carry_out(load_scene(CONFIGS / "preload.yaml", [f"{key}={value}" for key, value in given.items()]))
@@ -131,12 +171,24 @@ def test_an_optimum_of_points_that_all_fail_says_so():
 
 
 class Known(Peaks):
-    """Peaks by a formula; `computed` are the values asked for."""
+    """Peaks by a formula; `computed` are the values asked for.
 
-    def __init__(self, formula, accuracy: float = 1e-3):
+    ``stays(value, size)``: the peak of a motion carried over to a value from beside, where it is of a size; None where
+    it is lost.
+    """
+
+    def __init__(self, formula, accuracy: float = 1e-3, stays=lambda value, size: None):
         keys = {"study.along": {KEY: {"from": 0.0, "to": 10.0, "num": 11}}, "study.accuracy": accuracy}
         super().__init__(load_scene(CONFIGS / "preload.yaml", keys), Execution())
-        self.formula, self.computed = formula, []
+        self.formula, self.computed, self.stays = formula, [], stays
+
+    def motions(self, value: float, least: float) -> tuple[Motion, ...]:
+        return (Motion(float(self.results[value]["peak"]), 0, self.scene.model().start),)
+
+    def carry(self, carried: Any, stage: str) -> Any:
+        value, (motion,) = carried.response.model.contacts[0].preload, carried.motions
+        peak = self.stays(value, motion.size)
+        return {} if peak is None else {"peak": np.array(peak), "peak_carried": np.array(1)}
 
     def take(self, values: list[float], stage: str) -> None:
         for value in values:
@@ -145,7 +197,7 @@ class Known(Peaks):
             self.results[value] = blank_columns(self.scene.model(), *shape) | {
                 "peak": np.array(self.formula(value)), "peak_at_end": np.array(0), "peak_settled": np.array(1),
                 "peak_irregular": np.array(0),
-                "peak_of": np.array(0),
+                "peak_of": np.array(0), "peak_carried": np.array(0),
                 "peak_frequency": np.array(1.0), "cycles": np.zeros(shape, int), "settled": np.ones(shape, bool),
                 "amplitude": np.full((*shape, 1, 3), self.formula(value)),
                 "reason": np.full(shape, "it broke" if np.isnan(self.formula(value)) else ""),
@@ -159,7 +211,7 @@ def test_a_stage_that_cannot_be_kept_ends_the_search_and_keeps_the_values(monkey
     def full(*_: Any, **__: Any) -> Any:
         raise StoreError("no space left")
 
-    monkeypatch.setattr(optimum, "carry_through", full)
+    monkeypatch.setattr(search, "carry_through", full)
     with pytest.raises(SearchError, match="no space left"):
         peaks.take([3.3], "search-001")
     with pytest.raises(StoreError):
@@ -179,9 +231,9 @@ def test_both_motions_at_a_frequency_are_refined_in_any_unit(
     model, refined = scene.model(), list[int]()
     orbits = [[replace(without_orbit(model, ""), amplitude=np.full((1, 3), unit * size)) for size in own]
               for own in (up, down)]  # fmt: skip
-    monkeypatch.setattr(optimum, "_refined", lambda _, orbit, i: (refined.append(i), optimum.Peak(-np.inf))[1])
+    monkeypatch.setattr(own_peak, "_refined", lambda _, orbit, i: (refined.append(i), own_peak.Peak(-np.inf))[1])
     assert _peak(response, orbits).peak == pytest.approx(unit)
-    assert refined == ([2, 2] if smaller > optimum.NEARLY else [2])
+    assert refined == ([2, 2] if smaller > own_peak.NEARLY else [2])
 
 
 def test_the_point_and_axis_of_a_peak_are_among_those_that_count():
@@ -237,13 +289,43 @@ def test_a_peak_that_is_the_same_over_a_span_is_told_and_drawn_so():
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_peak_that_jumps_beside_the_least_one_is_told(sign: int):
-    """A motion that the sweeps of one value come to may go on at the next, to whose sweeps it is hidden."""
+    """A motion that the sweeps of one value come to is lost at the next, or may go on there if it does not repeat."""
     peaks = Known(lambda value: 1 + 0.1 * abs(value - 5.3) if sign * (value - 5.3) >= 0 else 3 + 0.1 * abs(value - 5.3))
     peaks.search()
     data = data_of(peaks).assign_attrs(complete=1)
     (line,) = [line for line in optimum_lines(data, 1e-3) if "jumps" in line]
-    assert re.match(rf"the peak jumps beside it, to 3(\.\d+)? at {KEY} = 5\.(29|30)\d*, at 1 Hz: that motion may", line)
+    assert re.match(rf"the peak jumps beside it, to 3(\.\d+)? at {KEY} = 5\.(29|30)\d*, at 1 Hz: carried over", line)
+    data["peak_settled"][:] = 0
+    assert any("may go on at the least peak" in line for line in optimum_lines(data, 1e-3))
     assert not any("jumps" in text for text in optimum_lines(data.assign_attrs(complete=0), 1e-3))
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("end", [2.7, 4.9996, -1.0])
+def test_a_motion_that_goes_on_from_beside_counts(sign: int, end: float):
+    """The sweeps come to it from 5.3 on; it lives on to `end`, where the peak falls, or beyond the range."""
+
+    def smaller(value: float) -> float:
+        return 1 + 0.1 * (value if sign > 0 else 10 - value)
+
+    def larger(value: float) -> float:
+        return 3 + 0.05 * abs(value - (5.3 if sign > 0 else 4.7))
+
+    def here(value: float) -> float:
+        return value if sign > 0 else 10 - value
+
+    peaks = Known(
+        lambda value: larger(value) if here(value) > 5.3 else smaller(value),
+        stays=lambda value, size: larger(value) if here(value) > end else None,
+    )
+    peaks.search()
+    least = here(peaks.least())
+    assert least == pytest.approx(0 if end > 0 else 5.3, abs=2e-3)
+    for value, result in peaks.results.items():
+        assert float(result["peak"]) == (larger(value) if here(value) > end else smaller(value))
+        assert bool(result["peak_carried"]) == (end < here(value) <= 5.3)
+    lines = list(optimum_lines(data_of(peaks).assign_attrs(complete=1), 1e-3))
+    assert any("no sweep comes to the motion of the peak" in line for line in lines)
 
 
 @pytest.mark.parametrize("power", [0.5, 1, 2])
@@ -286,7 +368,7 @@ def test_a_search_that_is_cut_off_says_what_is_done(monkeypatch: pytest.MonkeyPa
         results = [known.results[value] for value in known.values[: done[0]]]
         return dict(zip([chunk.name for chunk in chunks], results, strict=False)), None if done[0] > 5 else cut
 
-    monkeypatch.setattr(optimum, "carry_through", carried)
+    monkeypatch.setattr(search, "carry_through", carried)
     for number, said in (
         (5, f"{cut}; 5 of 11 values of {KEY} are done and kept"),
         (11, f"{cut} at {KEY} = 2.76393; 11 other values are done and kept"),

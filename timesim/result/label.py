@@ -151,6 +151,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "peak_at_end": ("1 where the largest amplitude is at the first or last frequency", None),
     "peak_settled": ("1 where the motion of the largest amplitude has settled", None),
     "peak_irregular": ("1 where that motion is irregular; as in the variable irregular", None),
+    "peak_carried": ("1 where no sweep comes to that motion, which goes on from a value beside", None),
     "peak_of": ("point and axis of the largest displacement amplitude", None),
     "optimum": ("value of the scalar with the least peak", None),
     "optimum_peak": ("least peak", "length"),
@@ -249,7 +250,7 @@ SCENE_UNITS = {
 YES_NO = {0: "no", 1: "yes"}
 FLAGS = {
     **dict.fromkeys(("settled", "irregular", "stable", "fold", "pareto", "reduced"), YES_NO),
-    **dict.fromkeys(("peak_at_end", "peak_settled", "peak_irregular"), YES_NO),
+    **dict.fromkeys(("peak_at_end", "peak_settled", "peak_irregular", "peak_carried"), YES_NO),
     "range_cut": {-1: "no_range", **YES_NO},
     "range_settled": {-1: "no_range", **YES_NO},
     "range_irregular": {-1: "no_range", 0: "none", 1: "smaller", 2: "larger"},

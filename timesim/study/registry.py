@@ -69,7 +69,7 @@ STUDIES = {
     "hbm": Study(".scene.hbm:Hbm", ".study.hbm:study", ".picture.hbm:PICTURES", in_curves=True),
     "compare": Study(".scene.hbm:Compare", ".study.compare:study", ".picture.compare:PICTURES", in_chunks=True),
     "bistable": Study(".scene.sweep:Bistable", ".study.bistable:study", ".picture.bistable:PICTURES", in_chunks=True),
-    "optimum": Study(".scene.sweep:Optimum", ".study.optimum:study", ".picture.optimum:PICTURES", in_chunks=True),
+    "optimum": Study(".scene.sweep:Optimum", ".study.optimum.study:study", ".picture.optimum:PICTURES", in_chunks=True),
 }
 
 

@@ -70,8 +70,12 @@ def optimum_lines(data: Dataset, accuracy: float) -> Iterator[str]:
         yield f"an accuracy away the peak is not smaller: {heights}"
     for i in jumps_beside(values, peak, at) if data.attrs["complete"] else ():
         higher = f"{height(i)} at {key} = {at_value(i)}, at {data['peak_frequency'].values[i]:.6g} Hz"
-        unseen = "that motion may go on at the least peak, unseen by its sweeps; a wider frequency may show it"
-        yield f"the peak jumps beside it, to {higher}: {unseen}"
+        lost = "carried over from there, that motion is lost at the least peak"
+        if not data["peak_settled"].values[i]:
+            lost = "that motion does not repeat, and is not carried over, so it may go on at the least peak"
+        yield f"the peak jumps beside it, to {higher}: {lost}"
+    if carried := int(np.count_nonzero(data["peak_carried"].values)):
+        yield f"at {counted(carried, 'value')} no sweep comes to the motion of the peak: it goes on from a value beside"
     if data.attrs["complete"] and best in (values[0], values[-1]):
         yield f"it is at an end of the range of {key}, so beyond it the peak may be smaller still"
     if vanishes:
