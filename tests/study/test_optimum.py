@@ -11,7 +11,8 @@ from commands import CONFIGS, run_of_config
 from systems import oscillator
 
 import timesim
-from timesim.model.model import Start
+from timesim.model.contact_state import contact_loads
+from timesim.model.model import SEPARATION, SLIP, STICK, Start
 from timesim.model.solver import PRESETS, Criterion
 from timesim.orbit.settling import Chain, steady_states
 from timesim.orbit.steady_state import Orbit, blank_columns, without_orbit
@@ -23,7 +24,7 @@ from timesim.study import registry as plot
 from timesim.study.execution.campaign import Chunk, Execution
 from timesim.study.optimum import peak as own_peak
 from timesim.study.optimum import search
-from timesim.study.optimum.peak import Motion, Response, _peak
+from timesim.study.optimum.peak import Motion, Response, _peak, begin_from
 from timesim.study.optimum.search import Peaks, SearchError
 from timesim.study.optimum.study import data_of
 from timesim.study.registry import carry_out, load_scene
@@ -146,6 +147,22 @@ def test_a_motion_to_which_no_sweep_comes_goes_on_from_a_value_beside(tmp_path: 
     again = carry_out(scene, replace(execution, resume=True)).groups[""]
     for name in data.variables:
         np.testing.assert_array_equal(again[name], data[name])
+
+
+@pytest.mark.parametrize(("preload", "state"), [(6.0, STICK), (3.0, SLIP), (2.0, SLIP), (-9.0, SEPARATION)])
+def test_a_state_is_carried_over_with_its_force_in_the_cone(preload: float, state: int):
+    """Of a contact that slips at a preload of 3: it sticks under more, and slips in the same direction under less."""
+    before, model = oscillator(3.0, 1.39), oscillator(preload, 1.39)
+    ((orbit,),) = steady_states([Chain(before, (1.39,))], PRESETS["draft"], Criterion(1e-6, 1000))
+    own = contact_loads(before, orbit.end.displacement, orbit.end.slip)
+    slip = own.motion - own.limit / own.size * (own.motion - orbit.end.slip)  # on the cone there
+    end = replace(orbit.end, slip=slip, state=np.array([SLIP]))
+    start = begin_from(model, end)
+    loads = contact_loads(model, start.displacement, start.slip)
+    assert start.state.tolist() == [state]
+    assert loads.size == pytest.approx(np.minimum(own.limit, loads.limit), rel=1e-9)
+    np.testing.assert_allclose(loads.force * own.size, own.force * loads.size, atol=1e-9)
+    np.testing.assert_array_equal(start.displacement, end.displacement)
 
 
 def end_state(direction: int, data: Any, place: dict[str, float]) -> Start:

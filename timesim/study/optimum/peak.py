@@ -5,6 +5,7 @@ points of both sweeps the peak is sought between their frequencies. A larger mot
 a value beside, of which it is carried over.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import NamedTuple
@@ -12,8 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from timesim.fault import RuleError
+from timesim.model.contact_state import contact_loads
 from timesim.model.model import Model, Start
 from timesim.model.solver import Solver
+from timesim.model.start import resumed_start
 from timesim.orbit.settling import Chain
 from timesim.orbit.steady_state import COLUMNS, SAME, Orbit, blank_columns, columns_of, orbit_of
 from timesim.scene.sweep import OptimumPlan
@@ -170,13 +174,28 @@ def larger_motions(response: Response, result: Result, least: float) -> tuple[Mo
     return tuple(found[i] for i in chosen)
 
 
+def begin_from(model: Model, end: Start) -> Start:
+    """A state of a model with another value of a scalar as the start of this one; forces beyond the cone are on it.
+
+    Raises:
+        RuleError: as of `resumed_start`.
+    """
+    loads = contact_loads(model, end.displacement, end.slip)
+    share = np.minimum(loads.limit / np.maximum(loads.size, np.finfo(float).tiny), 1.0)
+    slip = loads.motion - share[:, None] * (loads.motion - end.slip)
+    return resumed_start(model, replace(end, slip=slip), [contact.name for contact in model.contacts])
+
+
 def carry_over(carried: Carried, before: Result | None) -> Result:
     """The motions that stay larger than the peak, as columns at the frequencies of the sweep, and their peak."""
-    own, count = carried.response, carried.response.plan.sweep.frequency.size
-    frequency = own.plan.sweep.frequency
-    chains = [Chain(replace(own.model, start=start), (float(frequency[place]),)) for _, place, start in carried.motions]
+    own, frequency = carried.response, carried.response.plan.sweep.frequency
+    count, begun = frequency.size, dict[int, Chain]()
+    for i, (_, place, end) in enumerate(carried.motions):
+        with suppress(RuleError):  # no state of a model of this value
+            begun[i] = Chain(replace(own.model, start=begin_from(own.model, end)), (float(frequency[place]),))
     highest: dict[int, Orbit] = {}
-    for (_, place, _), (orbit,) in zip(carried.motions, own.steady(*chains), strict=True):
+    for i, (orbit,) in zip(begun, own.steady(*begun.values()), strict=True):
+        place = carried.motions[i].place
         known = own.size(highest[place]) if place in highest else (1 + SAME) * carried.peak
         if orbit.settled and own.size(orbit) > known:
             highest[place] = orbit

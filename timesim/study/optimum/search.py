@@ -25,7 +25,7 @@ from timesim.study.execution.campaign import Chunk, Execution, Result, carry_thr
 from timesim.study.execution.progress import Phases
 from timesim.study.execution.worker import Work
 from timesim.study.optimum.peak import Carried, Motion, Response, carry_over, larger_motions, respond
-from timesim.study.summary.optimum import as_low
+from timesim.study.summary.optimum import as_low, is_nothing
 
 CHECKS = 6  # times that the search moves on to a smaller peak beside the optimum
 FLAT = 0.25  # share of the range searched, over which three values or more have the least peak: it is flat there
@@ -93,8 +93,8 @@ class Peaks:
 
     def _searched(self, done: float, number: float, phase: str = "", /) -> None:
         """Take in the progress of a stage of the search, which may need more stages than expected."""
-        stages = max(self.expected, self.stages + 1)
-        self.phases[SEARCH](self.stages - 1 + done / number, stages, f"{SEARCH}, value {self.stages}")
+        stage, stages = max(self.stages, 1), max(self.expected, self.stages + 1)
+        self.phases[SEARCH](stage - 1 + done / number, stages, f"{SEARCH}, value {stage}")
 
     def at(self, value: float) -> float:
         """The peak at a value.
@@ -132,7 +132,8 @@ class Peaks:
     def _stays(self, target: float, source: float) -> bool:
         """Whether a motion of one value goes on at another, with a larger peak; it is the peak there from now on."""
         peak, other = (float(self.results[value]["peak"]) for value in (target, source))
-        if not other > (1 + AT_LEAST) * peak:
+        largest = np.nanmax([float(result["peak"]) for result in self.results.values()])
+        if not other > (1 + AT_LEAST) * peak or is_nothing(np.array([other, largest]))[0]:
             return False
         motions = self.motions(source, peak)
         if not motions:
