@@ -151,7 +151,7 @@ LABELS: dict[str, tuple[str, str | None]] = {
     "peak_at_end": ("1 where the largest amplitude is at the first or last frequency", None),
     "peak_settled": ("1 where the motion of the largest amplitude has settled", None),
     "peak_irregular": ("1 where that motion is irregular; as in the variable irregular", None),
-    "peak_carried": ("1 where no sweep comes to that motion, which goes on from a value beside", None),
+    "peak_carried": ("1 where that motion goes on from a value beside; no sweep comes to it", None),
     "peak_of": ("point and axis of the largest displacement amplitude", None),
     "optimum": ("value of the scalar with the least peak", None),
     "optimum_peak": ("least peak", "length"),
