@@ -181,7 +181,7 @@ def begin_from(model: Model, end: Start) -> Start:
         RuleError: as of `resumed_start`.
     """
     loads = contact_loads(model, end.displacement, end.slip)
-    share = np.minimum(loads.limit / np.maximum(loads.size, np.finfo(float).tiny), 1.0)
+    share = np.divide(loads.limit, loads.size, out=np.ones_like(loads.size), where=loads.size > loads.limit)
     slip = loads.motion - share[:, None] * (loads.motion - end.slip)
     return resumed_start(model, replace(end, slip=slip), [contact.name for contact in model.contacts])
 
