@@ -42,9 +42,9 @@ Overrides = Annotated[
 
 def _version(asked: bool) -> None:
     if asked:
-        from importlib.metadata import version
+        from timesim import __version__
 
-        print(version("timesim"))
+        print(__version__)
         raise typer.Exit
 
 

@@ -143,7 +143,7 @@ def test_a_motion_to_which_no_sweep_comes_goes_on_from_a_value_beside(tmp_path: 
     assert swept.sel({KEY: -4.2, "frequency": 0.944}).max() < 0.7 * orbit.amplitude[0, 1]
     assert float(data["peak"][0]) > (1 - 1e-4) * orbit.amplitude[0, 1]
     assert float(data["optimum"]) == -3.8
-    (tmp_path / "checkpoint" / "search-001" / "value-00000.npz").unlink(missing_ok=True)
+    (tmp_path / "checkpoint" / "carried-001" / "motions.npz").unlink()
     again = carry_out(scene, replace(execution, resume=True)).groups[""]
     for name in data.variables:
         np.testing.assert_array_equal(again[name], data[name])
@@ -396,6 +396,15 @@ def test_a_search_that_is_cut_off_says_what_is_done(monkeypatch: pytest.MonkeyPa
         done[0] = number
         with pytest.raises(SearchError, match=re.escape(said)):
             Peaks(known.scene, Execution()).search()
+
+
+def test_a_search_that_is_cut_off_as_a_motion_is_carried_on_says_so(monkeypatch: pytest.MonkeyPatch):
+    peaks = Known(lambda value: 1.0 if value < 4.5 else 2.0)
+    monkeypatch.setattr(search, "carry_through", lambda *_, **__: ({}, "interrupted; 1 of 1 points missing"))
+    monkeypatch.setattr(Known, "carry", Peaks.carry)
+    with pytest.raises(SearchError, match=rf"^interrupted; .* missing, as a motion was carried on from .* of {KEY} to"):
+        peaks.search()
+    assert len(peaks.results) == 11
 
 
 def test_an_interrupt_between_two_values_keeps_those_that_are_done(monkeypatch: pytest.MonkeyPatch):
