@@ -42,9 +42,9 @@ Overrides = Annotated[
 
 def _version(asked: bool) -> None:
     if asked:
-        from timesim import __version__
+        from importlib.metadata import version
 
-        print(__version__)
+        print(version("timesim"))
         raise typer.Exit
 
 
