@@ -547,21 +547,27 @@ def test_interrupt_keeps_what_there_is() -> None:
 
 
 def test_a_run_that_was_interrupted_goes_on_from_where_it_stopped(tmp_path: Path) -> None:
-    scene = load_scene(CONFIGS / "oscillator.yaml", LONG | {"solver.accuracy": "reference"})
-
     def impatient(done: float, total: float, phase: str) -> None:
         raise KeyboardInterrupt
 
-    outcome = study(scene, Execution(progress=impatient))
-    first, whole = outcome.groups[""], timesim.run(scene)
+    # Where a full record happens to end with a cycle, so does the run: at most at one of the frequencies.
+    for frequency in (1.39, 1.4, 1.41):
+        changes = {"solver.accuracy": "reference", "excitation.frequency": frequency}
+        scene = load_scene(CONFIGS / "oscillator.yaml", LONG | changes)
+        outcome = study(scene, Execution(progress=impatient))
+        first = outcome.groups[""]
+        if 1 < first["final_phase_deg"] < 359:
+            break
+    else:
+        pytest.fail("no run has stopped within a cycle")
+    whole = timesim.run(scene)
     save(outcome.groups, tmp_path / "result.nc")
-    rest = load_scene(CONFIGS / "oscillator.yaml", {"solver.accuracy": "reference", "initial": {"from": str(tmp_path)}})
+    rest = load_scene(CONFIGS / "oscillator.yaml", changes | {"initial": {"from": str(tmp_path)}})
     assert rest.model().notes == (
         f"initial.from: the run of the result is incomplete ({outcome.reason}): this one starts where it stopped",
     )
-    # It has stopped within a cycle: its phase there is that of the start.
-    assert 1 < first["final_phase_deg"] < 359
-    stopped = (first.sizes["cycle"] + float(first["final_phase_deg"]) / 360) / 1.39
+    # Its phase is that of the start.
+    stopped = (first.sizes["cycle"] + float(first["final_phase_deg"]) / 360) / frequency
     again, before = timesim.run(rest)["event_time"][:100] + stopped, first.sizes["event"]
     np.testing.assert_allclose(again, whole["event_time"][before : before + 100], rtol=1e-6)
 

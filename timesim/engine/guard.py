@@ -146,11 +146,11 @@ def first_crossing(
     """
     if state.shape[0] == 0:
         return jnp.asarray(NONE)
-    node = margins_inside(dynamics, state, part, jnp.arange(NUM_NODES)[:, None] / NUM_NODES)
-    last = part.margin[1]
+    first, last = part.margin
     # A step starts on a guard after each transition: what is there is rounding, and no crossing.
-    first, last = jnp.maximum(node[0], 0.0), jnp.where(spared, jnp.maximum(last, 0.0), last)
-    node = jnp.concatenate([first[None], node[1:], last[None]])
+    first, last = jnp.maximum(first, 0.0), jnp.where(spared, jnp.maximum(last, 0.0), last)
+    inside = margins_inside(dynamics, state, part, jnp.arange(1, NUM_NODES)[:, None] / NUM_NODES)
+    node = jnp.concatenate([first[None], inside, last[None]])
     falls, rises = part.h / NUM_NODES * part.slope
     after, before = _edge_dip(first, falls, node[1], doubt), _edge_dip(last, -rises, node[-2], doubt)
     dips = (_dip(node, doubt), after.min(), jnp.where(before < NONE, 1 - before, NONE).min())

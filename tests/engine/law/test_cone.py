@@ -94,8 +94,30 @@ def test_the_direction_goes_smoothly_through_separation():
     for contact in both_forms(law(np.eye(2), normal=1.0, preload=0.0)):
         for v in (0.1, -0.1):
             moves = moving(0.4 * v * e, v, np.array([1.0, 0.0]), -1.0)
-            found = np.concatenate(slip_direction(contact, moves, plane(np.zeros(2))))
+            found = np.concatenate(slip_direction(contact, moves, plane(np.zeros(2)), True))
             np.testing.assert_allclose(found, e, atol=1e-13)
+
+
+@pytest.mark.parametrize("state", [SLIP, STICK, SEPARATION])
+def test_a_contact_acts_as_if_it_were_alone(state: int):
+    """The incipient direction is computed only where one slips near n = 0: for all, or for none of them."""
+    u, du, w = RNG.normal(size=(3, 4, 2))
+    u[:2] = w[:2]  # the first slips without a direction, the second is next to n = 0 in any state
+    laws = [law(random_stiffness(), preload=preload) for preload in (0.0, 0.0, 0.7, 1.1)]
+    moves = [moving(u[i], 0.0, du[i], 0.3 * i) for i in range(4)]
+    states = [jnp.asarray([each]) for each in (SLIP, state, SLIP, STICK)]
+
+    def acts(own: slice) -> list[np.ndarray]:
+        contact, motion, slip, now = jax.tree.map(
+            lambda *parts: jnp.concatenate(parts),
+            *zip(laws[own], moves[own], map(plane, w[own]), states[own], strict=True),
+        )
+        return [np.asarray(x) for x in jax.tree.leaves(contact.reaction(now, motion, slip))]
+
+    each = [acts(slice(i, i + 1)) for i in range(4)]
+    for chosen in (slice(0, 4), slice(1, 4), slice(2, 4)):
+        for together, apart in zip(acts(chosen), map(np.concatenate, zip(*each[chosen], strict=True)), strict=True):
+            np.testing.assert_allclose(together, apart, rtol=1e-14, atol=1e-14)
 
 
 # State, n, u', n' and the state that follows.

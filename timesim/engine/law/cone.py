@@ -96,7 +96,7 @@ class ConeLaw(ContactLaw):
 
     def disturbed(self, h: Scalar, ends: Sequence[tuple[Motion, Plane]]) -> "ConeLaw":
         # Where a contact opens or has just closed, any step is long at one end, and follows that well.
-        decays = [h * self._turning_rate(motion, slip_direction(self, motion, w)) for motion, w in ends]
+        decays = [h * self._turning_rate(motion, slip_direction(self, motion, w, True)) for motion, w in ends]
         return replace(self, step=jnp.where(jnp.minimum(*decays) > FOLLOWED, h, 0.0))
 
     def _turning_rate(self, motion: Motion, e: Plane) -> Scalar:
@@ -110,8 +110,8 @@ class ConeLaw(ContactLaw):
     def reaction(self, state: State, motion: Motion, w: Plane) -> Reaction:
         # In contact n is not clipped at 0: the field stays smooth for the trial step that ends beyond a separation.
         n = normal_load(self, motion.v)
-        e = felt_direction(self, motion, w)
         slips = state == SLIP
+        e = felt_direction(self, motion, w, slips)
         sliding = jnp.where(slips, self.friction * n, 0.0)
         elastic = product(self.stiffness, minus(motion.u, w))
         f = where(state == STICK, elastic, scaled(sliding, e))
@@ -125,7 +125,7 @@ class ConeLaw(ContactLaw):
         # never without a load either, which is known better than the cone where K_u is far above k_v.
         n = normal_load(self, motion.v)
         cone = self.friction * n - length(product(self.stiffness, minus(motion.u, w)))
-        speed = slip_speed(self, felt_direction(self, motion, w), motion)
+        speed = slip_speed(self, felt_direction(self, motion, w, state == SLIP), motion)
         singular = n < SINGULAR * jnp.abs(self.normal_stiffness * motion.dv)
         # What has opened with a load next to nothing has not closed: the loop would find no step that ends before.
         opened = jnp.where((n > 0) & self._opens(n, motion), 0.0, -n)
@@ -150,7 +150,7 @@ class ConeLaw(ContactLaw):
 
     def slip_at_transition(self, before: State, after: State, motion: Motion, w: Plane) -> Plane:
         # On the cone during and after slip, w = u during and after separation.
-        w = self._slip(before, w, motion, slip_direction(self, motion, w))
+        w = self._slip(before, w, motion, slip_direction(self, motion, w, before == SLIP))
         return where(after == SEPARATION, motion.u, w)
 
     def placed(self, state: np.ndarray, motion: Motion, w: Plane) -> tuple[np.ndarray, tuple[np.ndarray, ...]] | None:
@@ -172,7 +172,7 @@ class ConeLaw(ContactLaw):
 
     def inner(self, state: State, motion: Motion, w: Plane) -> Scalar:
         # All nodes of a step hang on it: after one iteration more than the first some directions are off by 0.1 rad.
-        return slip_angle.angle_of(slip_direction(self, motion, w, iterations=7))
+        return slip_angle.angle_of(slip_direction(self, motion, w, state == SLIP, iterations=7))
 
     def collocated(self, state: State, w: Plane, motion: Motion, inner: Scalar, h: Scalar, rule: Rule) -> Within:
         n, du, dn = normal_load(self, motion.v), motion.du, self.normal_stiffness * motion.dv
@@ -247,8 +247,10 @@ def slip_speed(law: ConeLaw, e: Plane, motion: Motion) -> Scalar:
     return (dot(ke, motion.du) - cone_rate) / jnp.maximum(dot(e, ke), 1e-150)
 
 
-def slip_direction(law: ConeLaw, motion: Motion, w: Plane, iterations: int = 1) -> Plane:
-    """Unit vector e along which a contact slips; ``iterations``: as of `incipient_direction`."""
+def slip_direction(
+    law: ConeLaw, motion: Motion, w: Plane, slips: Bool[Array, "*#contact"] | bool, iterations: int = 1
+) -> Plane:
+    """Unit vector e along which a contact slips, any vector of the others; ``iterations`` of `incipient_direction`."""
     trial = product(law.stiffness, minus(motion.u, w))
     n = normal_load(law, motion.v)
     size = length(trial)
@@ -259,10 +261,15 @@ def slip_direction(law: ConeLaw, motion: Motion, w: Plane, iterations: int = 1) 
         chosen = where(directed, scaled(jnp.where(n < 0, -1.0, 1.0), trial), motion.du)
         return scaled(1 / length(chosen), chosen)
     along = scaled(jnp.where(n < 0, -1.0, 1.0) / size, trial)
-    return where(directed, along, incipient_direction(law, motion, iterations))
+
+    def with_incipient() -> Plane:
+        return where(directed, along, incipient_direction(law, motion, iterations))
+
+    # Few steps see a contact so near to n = 0; of trajectories side by side both are computed.
+    return jax.lax.cond((slips & ~directed).any(), with_incipient, lambda: along)
 
 
-def felt_direction(law: ConeLaw, motion: Motion, w: Plane) -> Plane:
+def felt_direction(law: ConeLaw, motion: Motion, w: Plane, slips: Bool[Array, "*#contact"]) -> Plane:
     """`slip_direction`, in the derivative of a step with as much of a disturbance as the step can follow.
 
     A disturbed direction is led back to that of u' at the rate ``s K_u / (mu n)``, which an explicit step does not
@@ -270,7 +277,7 @@ def felt_direction(law: ConeLaw, motion: Motion, w: Plane) -> Plane:
     rate only what the step follows is taken, and as little of the disturbance is in the force, so that the impulse
     until it has died out stays the same. The rest of the direction is that of u'.
     """
-    e = slip_direction(law, motion, w)
+    e = slip_direction(law, motion, w, slips)
     if law.step is None or len(e) == 1:
         return e
     along, motion_there = jax.lax.stop_gradient((e, motion))
