@@ -23,6 +23,7 @@ from timesim.model.solver import NEVER, SHOOT, SLOW, Criterion
 from timesim.scene import text as scene_text
 from timesim.scene.report import describe, warnings_of
 from timesim.scene.report.description import contact_line
+from timesim.scene.study import SweepSection
 from timesim.scene.text import MAX_BYTES, parse, yaml_text
 from timesim.study.registry import json_schema, load_scene
 
@@ -108,6 +109,18 @@ def test_a_line_that_begins_in_another_column_and_a_colon_that_is_missing():
 def test_a_range_of_frequencies_the_other_way_says_how_to_sweep_downwards():
     with pytest.raises(SceneError, match=r"frequency\.to: 1\.0: must not be smaller than from \(.*direction: down"):
         load_scene(BASE, ["study={kind: sweep, frequency: {from: 2, to: 1, step: 0.5}}"])
+
+
+@pytest.mark.parametrize("num", [2, 7, 41, 1001])
+def test_so_many_frequencies_are_those_of_the_step_between_them(num: int):
+    def frequencies(given: str) -> np.ndarray:
+        scene = load_scene(BASE, ["study={kind: sweep, frequency: {from: 0.83, to: 1.31, " + given + "}}"])
+        assert isinstance(scene.file.study, SweepSection)
+        return scene.file.study.sweep().frequency
+
+    found = frequencies(f"num: {num}")
+    np.testing.assert_allclose(found, np.linspace(0.83, 1.31, num), rtol=1e-14)
+    np.testing.assert_allclose(found, frequencies(f"step: {0.48 / (num - 1)!r}"), rtol=1e-14)
 
 
 def test_a_value_of_over_is_shown_once():
@@ -1012,7 +1025,11 @@ def inline(mass):
 @pytest.mark.parametrize(
     ("key", "value", "says"),
     [
-        ("study", {"kind": "sweep", "frequency": [1.0, 1.1]}, "a mapping of keys (its keys: from, to, step, values)"),
+        (
+            "study",
+            {"kind": "sweep", "frequency": [1.0, 1.1]},
+            "a mapping of keys (its keys: from, to, step, num, values)",
+        ),
         ("structure", inline([2, 3]), "mass.1: 3: must be a list (Mass matrix, symmetric positive definite, by its"),
         ("excitation.forces", {"point": "tip", "amplitude": 1}, "must be a list (put - before it, as before each of"),
         ("excitation.forces", [{"direction": "x"}], "x: must be a list (Along x, y, z, such as [1, 0, 0]"),

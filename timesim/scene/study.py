@@ -242,7 +242,7 @@ class SweepSection(SteadySection):
     """The keys of a sweep, on its own or as a part of another study."""
 
     frequency: Frequencies
-    """{from, to, step} or {values: [...]} [Hz]."""
+    """{from, to, step}, {from, to, num} or {values: [...]} [Hz]."""
     direction: Literal["up", "down", "both", "independent"] = "independent"
     """up, down, both: the state is carried from one frequency to the next; independent: each starts anew."""
     over: Over = Field(default_factory=dict)

@@ -66,7 +66,7 @@ class Optimum(SteadySection):
     along: OneKey[Range]
     """A scalar of the scene by its key, with from, to and num: the values computed before the least is sought."""
     frequency: Frequencies
-    """{from, to, step} or {values: [...]} [Hz]; swept up and down, and the peak is sought between its points."""
+    """{from, to, step}, {from, to, num} or {values: [...]} [Hz]; swept both ways, the peak sought between points."""
     accuracy: Positive | None = None
     """Accuracy of the value of the scalar where the peak is least; by default a thousandth of its range."""
     point: PointName | None = None

@@ -174,8 +174,12 @@ def num_points(first: float, to: float, step: float) -> float:
     return float(np.floor((to - first) / step + 1e-9)) + 1
 
 
+WAYS = "from, to and step, or from, to and num, or values"
+"""How frequencies may be given."""
+
+
 class Frequencies(Section):
-    """Frequencies of a sweep: from + k step up to `to`, or a list."""
+    """Frequencies of a sweep: from + k step up to `to`, or so many in equal steps, both ends included, or a list."""
 
     first: Positive | None = Field(None, alias="from")
     """First frequency [Hz]."""
@@ -183,35 +187,49 @@ class Frequencies(Section):
     """Last frequency [Hz]; it is one of them if it lies within 1e-9 step of the grid."""
     step: Positive | None = None
     """Step [Hz]."""
+    num: Annotated[Whole, Field(ge=2, le=MAX_POINTS)] | None = None
+    """How many, instead of a step."""
     listed: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = Field(None, alias="values")
-    """The frequencies [Hz] in any order, instead of from, to and step."""
+    """The frequencies [Hz] in any order, instead of from, to and a step or a number."""
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
-        parts = {"from": self.first, "to": self.to, "step": self.step}
-        given = [key for key, value in parts.items() if value is not None]
+        ends, ways = {"from": self.first, "to": self.to}, {"step": self.step, "num": self.num}
+        given = [key for key, value in (ends | ways).items() if value is not None]
         if self.listed is not None:
             if given:
-                raise refuse("excludes values", key=(given[0],), hint="give from, to and step, or values")
+                raise refuse("excludes values", key=(given[0],), hint=f"give {WAYS}")
             if twice := repeated(self.listed):
                 raise refuse("must differ from each other", key=("values",), hint=twice)
             return self
-        if missing := [key for key in parts if key not in given]:
-            raise refuse("is required", key=(missing[0],), hint="from, to and step, or values")
-        if (count := num_points(*self.spacing)) > MAX_POINTS:
-            rule = f"must leave at most {MAX_POINTS} points, not {count:.10g}"
-            raise refuse(rule, key=("step",), value=self.step)
-        if count < 1:
-            hint = "from is the smaller; direction: down visits it last"
-            raise refuse("must not be smaller than from", key=("to",), value=self.to, hint=hint)
-        if twice := repeated(spaced(*self.spacing).tolist()):
-            raise refuse("must be larger than the rounding of a frequency", key=("step",), value=self.step, hint=twice)
+        if missing := [key for key in ends if key not in given]:
+            raise refuse("is required", key=(missing[0],), hint=WAYS)
+        if None not in ways.values():
+            raise refuse("excludes step", key=("num",), value=self.num, hint=f"give {WAYS}")
+        if (key := next((key for key in ways if key in given), None)) is None:
+            raise refuse("is required", key=("step",), hint=WAYS)
+        self._check_spacing(key, ways[key])
         return self
+
+    def _check_spacing(self, key: str, value: float | None) -> None:
+        """That the ends ascend and the frequencies between them, by a step or a number, differ and are not too many."""
+        first, to, step = self.spacing
+        hint = "from is the smaller; direction: down visits it last"
+        if self.num is not None and to <= first:
+            raise refuse("must be larger than from", key=("to",), value=to, hint=hint)
+        if (count := num_points(first, to, step)) > MAX_POINTS:
+            raise refuse(f"must leave at most {MAX_POINTS} points, not {count:.10g}", key=(key,), value=value)
+        if count < 1:
+            raise refuse("must not be smaller than from", key=("to",), value=to, hint=hint)
+        if twice := repeated(spaced(first, to, step).tolist()):
+            rule = "must be larger" if self.num is None else "must leave steps larger"
+            raise refuse(f"{rule} than the rounding of a frequency", key=(key,), value=value, hint=twice)
 
     @property
     def spacing(self) -> tuple[float, float, float]:
         """First, last and step, where the frequencies are not listed."""
-        return cast(tuple[float, float, float], (self.first, self.to, self.step))
+        first, to = cast(tuple[float, float], (self.first, self.to))
+        return first, to, (to - first) / (self.num - 1) if self.num is not None else cast(float, self.step)
 
     def values(self) -> np.ndarray:
         """The frequencies [Hz], ascending, shape (F,)."""
