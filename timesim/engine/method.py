@@ -2,7 +2,7 @@
 
 A method advances the continuous state over a step in which every contact keeps its state, and says how large its
 error is. It gives the rate at the end of the step as well: with it the step has a dense output (`dense_output`).
-The explicit Runge-Kutta methods are unrolled from the tableaus of diffrax: XLA on a CPU pays for each kernel.
+The explicit Runge-Kutta methods follow the tableaus of diffrax.
 
 tsit5: Ch. Tsitouras, Runge-Kutta pairs of order 5(4) satisfying only the first column simplifying assumption, Computers
 & Mathematics with Applications 62 (2011) 770-775. dopri5: J. R. Dormand & P. J. Prince, A family of embedded
@@ -91,21 +91,26 @@ class Method(eqx.Module):
 
 
 class Tableau(NamedTuple):
-    """An explicit Runge-Kutta method with an embedded error estimate, as of Butcher."""
+    """An explicit Runge-Kutta method whose last stage is the end of the step, as of Butcher.
+
+    Attributes:
+        order: of the solution.
+        nodes: of the stages behind the first, as shares of the step, the last one 1.
+        stages: weights of the slopes before each of them, the last row those of the solution.
+        error_weights: of all slopes, that at the end among them.
+    """
 
     order: int
     nodes: tuple[float, ...]
     stages: tuple[tuple[float, ...], ...]
-    weights: tuple[float, ...]
     error_weights: tuple[float, ...]
 
 
 RK4 = Tableau(
     order=4,
-    nodes=(0.5, 0.5, 1.0),
-    stages=((0.5,), (0.0, 0.5), (0.0, 0.0, 1.0)),
-    weights=(1 / 6, 1 / 3, 1 / 3, 1 / 6),
-    error_weights=(0.0, 0.0, 0.0, 0.0),
+    nodes=(0.5, 0.5, 1.0, 1.0),
+    stages=((0.5,), (0.0, 0.5), (0.0, 0.0, 1.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)),
+    error_weights=(0.0, 0.0, 0.0, 0.0, 0.0),
 )
 
 
@@ -117,20 +122,27 @@ def tableau(name: str) -> Tableau:
     import diffrax
 
     solver = {"tsit5": diffrax.Tsit5, "dopri5": diffrax.Dopri5, "dopri8": diffrax.Dopri8}[name]
-    own = solver.tableau
+    own = solver.tableau  # in all of them the last stage is the end
     return Tableau(
         order=solver().order(None),
         nodes=tuple(np.asarray(own.c, dtype=float).tolist()),
         stages=tuple(tuple(np.asarray(row, dtype=float).tolist()) for row in own.a_lower),
-        weights=tuple(np.asarray(own.b_sol, dtype=float).tolist()),
         error_weights=tuple(np.asarray(own.b_error, dtype=float).tolist()),
     )
 
 
 class Explicit(Method):
-    """An explicit Runge-Kutta method, known by its name: a step that is compiled already needs no tableau."""
+    """An explicit Runge-Kutta method, known by its name: a step that is compiled already needs no tableau.
+
+    The stages are unrolled, which runs fastest, or the turns of a loop, of which one is compiled: a step of thirteen
+    unrolled stages takes XLA up to four times as long, its derivative a minute.
+
+    Attributes:
+        looped: whether they are turns of a loop in any case, and not only where the dynamics ask for it.
+    """
 
     name: str = eqx.field(static=True)
+    looped: bool = eqx.field(static=True, default=False)
 
     @property
     def order(self) -> int:
@@ -139,15 +151,34 @@ class Explicit(Method):
     def advance(
         self, dynamics: Dynamics, state: State, time: Array, point: Y, rate: Y, h: Array, tolerance: Array | None = None
     ) -> Advance:
-        field = partial(dynamics.field, state)
-        own, slopes = tableau(self.name), [rate]
+        own = tableau(self.name)
+        estimates = any(own.error_weights)
+        if self.looped or dynamics.long:
+            slopes, points = self.staged(dynamics, state, time, point, rate, h)
+            end, end_rate = jax.tree.map(lambda rows: rows[-1], (points, slopes))
+            error = _moved_by_all(None, slopes, h * jnp.asarray(own.error_weights)) if estimates else None
+            return Advance(end, end_rate, error)
+        slopes, end = [rate], point
         for node, row in zip(own.nodes, own.stages, strict=True):
-            slopes.append(field(time + node * h, moved(point, slopes, row, h)))
-        end = moved(point, slopes, own.weights, h)
-        first_same_as_last = own.nodes[-1] == 1 and own.stages[-1] == own.weights[:-1]
-        end_rate = slopes[-1] if first_same_as_last else field(time + h, end)
-        error = moved(None, slopes, own.error_weights, h) if any(own.error_weights) else None
-        return Advance(end, end_rate, error)
+            end = moved(point, slopes, row, h)
+            slopes.append(dynamics.field(state, time + node * h, end))
+        return Advance(end, slopes[-1], moved(None, slopes, own.error_weights, h) if estimates else None)
+
+    def staged(self, dynamics: Dynamics, state: State, time: Array, point: Y, rate: Y, h: Array) -> tuple[Y, Y]:
+        """Slopes at all stages of a step, and the continuous states at those behind the first, their axis the first."""
+        own = tableau(self.name)
+        num_slopes = len(own.nodes) + 1
+        weights = np.array([np.pad(row, (0, num_slopes - len(row))) for row in own.stages])
+        blank = jax.tree.map(lambda leaf: jnp.zeros((num_slopes, *leaf.shape)).at[0].set(leaf), rate)
+
+        def stage(slopes: Y, turn: tuple[Array, Array, Array]) -> tuple[Y, Y]:
+            index, node, row = turn
+            here = _moved_by_all(point, slopes, h * row)
+            slope = dynamics.field(state, time + node * h, here)
+            put = partial(jax.lax.dynamic_update_index_in_dim, index=index, axis=0)
+            return jax.tree.map(put, slopes, slope), here
+
+        return jax.lax.scan(stage, blank, (jnp.arange(1, num_slopes), jnp.asarray(own.nodes), jnp.asarray(weights)))
 
 
 def moved(point: Y | None, slopes: list[Y], weights: tuple[float, ...], h: Float[Array, ""]) -> Y:
@@ -165,41 +196,15 @@ def _combined(point: Y | None, slopes: list[Y], weights: list[Array]) -> Y:
     return step if point is None else jax.tree.map(jnp.add, point, step)
 
 
-class Looped(Method):
-    """An explicit method whose stages are the turns of a loop: a program of one stage, without an error estimate.
+@apart
+def _moved_by_all(point: Y | None, slopes: Y, weights: Float[Array, " slope"]) -> Y:
+    """`moved` by slopes whose first axis is theirs, in a loop: a product of matrices is no part of its function."""
 
-    Unrolled, the derivative of a step of thirteen stages takes XLA a minute to compile.
-    """
+    def combined(rows: Array) -> Array:
+        return sum((weights[i] * rows[i] for i in range(1, len(rows))), start=weights[0] * rows[0])
 
-    order: int = eqx.field(static=True)
-    method: Explicit
-
-    def advance(
-        self, dynamics: Dynamics, state: State, time: Array, point: Y, rate: Y, h: Array, tolerance: Array | None = None
-    ) -> Advance:
-        end, _ = self.staged(dynamics, state, time, point, rate, h)
-        return Advance(end, dynamics.field(state, time + h, end), None)
-
-    def staged(self, dynamics: Dynamics, state: State, time: Array, point: Y, rate: Y, h: Array) -> tuple[Y, Y]:
-        """The end of a step, and the continuous states at its stages behind the first, their axis the first."""
-        field = partial(dynamics.field, state)
-        own = tableau(self.method.name)
-        num_slopes = len(own.nodes) + 1
-        rows = [np.pad(row, (0, num_slopes - len(row))) for row in (*own.stages, own.weights)]
-        slopes = jax.tree.map(lambda leaf: jnp.zeros((num_slopes, *leaf.shape)).at[0].set(leaf), rate)
-
-        def combined(row: Array, slopes: Y) -> Y:
-            return jax.tree.map(lambda y, dy: y + h * jnp.tensordot(row, dy, 1), point, slopes)
-
-        def stage(slopes: Y, now: tuple[Array, Array, Array]) -> tuple[Y, Y]:
-            index, node, row = now
-            here = combined(row, slopes)
-            slope = field(time + node * h, here)
-            return jax.tree.map(lambda dy, own: dy.at[index].set(own), slopes, slope), here
-
-        turns = (jnp.arange(1, num_slopes), jnp.asarray(own.nodes), jnp.asarray(rows[:-1]))
-        slopes, stages = jax.lax.scan(stage, slopes, turns)
-        return combined(jnp.asarray(rows[-1]), slopes), stages
+    step = jax.tree.map(combined, slopes)
+    return step if point is None else jax.tree.map(jnp.add, point, step)
 
 
 class Implicit(Method):

@@ -80,6 +80,9 @@ MOST_SUMMED = 32
 WIDE = 100
 """Entries of the matrix of contacts and modes from which on 16 trajectories take longer side by side: measured."""
 
+LONG = 20
+"""The same from which on the stages of a step are the turns of a loop: compiled in less than half the time."""
+
 
 IDLE_DAMPING = 2.0
 """Damping of modes that are not those of the model, whose stiffness is 1: critical."""
@@ -117,6 +120,11 @@ class System(Dynamics):
 
     def single(self) -> "System":
         return replace(self, by_itself=True)
+
+    @property
+    def long(self) -> bool:
+        *_, contacts, modes = self.shape[0].shape
+        return contacts * modes > LONG
 
     @property
     def wide(self) -> bool:

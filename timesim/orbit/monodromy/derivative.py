@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from timesim.engine.lanes import batch_last, over_lanes
 from timesim.engine.law.contact_law import Motion, Plane, State
-from timesim.engine.method import Explicit, Looped, Method
+from timesim.engine.method import Explicit, Method
 from timesim.engine.step import Step, transition
 from timesim.engine.system import Point, System
 from timesim.model.model import SEPARATION, SLIP, STICK
@@ -76,7 +76,7 @@ def _image(method: Method, system: System, step: Step, start: Float[Array, " sta
 
 def felt(method: Method, system: System, step: Step) -> System:
     """The system as a step of an explicit method follows it with a disturbance."""
-    if not isinstance(method, Explicit | Looped):
+    if not isinstance(method, Explicit):
         return system
     ends = [(system.motion(point), point.w) for point in (step.start, step.end)]
     return replace(system, law=system.law.disturbed(step.h, ends))
@@ -96,7 +96,7 @@ def derivative(
             of a contact that slips is put back on it.
     """
     systems = batch_last(systems)
-    own = Looped(method.order, method) if isinstance(method, Explicit) else method  # the form that compiles fastest
+    own = replace(method, looped=True) if isinstance(method, Explicit) else method
 
     def on_cone(system: System, step: Step, opens: Bool[Array, ""]) -> Float[Array, "state state"]:
         """Derivative of the state from which the first step starts by that from which its lane does."""

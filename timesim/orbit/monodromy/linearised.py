@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from timesim.engine.lanes import batch_first, batch_last, over_lanes
 from timesim.engine.law.contact_law import Motion, Plane, State
-from timesim.engine.method import Explicit, Looped, Tableau, tableau
+from timesim.engine.method import Explicit, Tableau
 from timesim.engine.step import Step, transition
 from timesim.engine.system import Point, System
 from timesim.orbit.monodromy.derivative import ending, felt, vector_of
@@ -42,22 +42,21 @@ class Linear:
 
 
 def weights_of(own: Tableau) -> np.ndarray:
-    """Weights of the slopes at the stages and, last, at the end of a step, a row each; slopes of no weight left out."""
-    num = int(np.flatnonzero(own.weights)[-1]) + 1
-    rows = [np.pad(row, (0, num))[:num] for row in ((), *own.stages[: num - 1], own.weights)]
-    return np.array(rows)
+    """Weights of the slopes at the stages and, last, at the end of a step, a row each; that of the end has none."""
+    num = len(own.stages)
+    return np.array([np.pad(row, (0, num - len(row))) for row in ((), *own.stages)])
 
 
 @program
 def linear(method: Explicit, system: System, steps: Step) -> Linear:
     """`Linear` of steps, the first axis that of the steps; the system is of one trajectory."""
-    own, stages = Looped(method.order, method), len(weights_of(tableau(method.name))) - 1
 
     def one(step: Step) -> Linear:
         here = step.state, step.time, step.start
         followed = felt(method, system, step)
-        end, points = own.staged(followed, *here, followed.field(*here), step.h)
-        points = jax.tree.map(lambda y, rows: jnp.concatenate([y[None], rows])[:stages], step.start, points)
+        _, points = method.staged(followed, *here, followed.field(*here), step.h)
+        end = jax.tree.map(lambda rows: rows[-1], points)
+        points = jax.tree.map(lambda y, rows: jnp.concatenate([y[None], rows[:-1]]), step.start, points)
         rates = jax.vmap(partial(_by_contact, followed, partial(_rates, followed, step.state)))(points)
         before = step.end_rate
         crossed = step.state != step.state_after
