@@ -148,6 +148,12 @@ def test_cycle_that_starts_beside_its_turning_point_keeps_its_samples(tmp_path, 
     assert len(read_motion(write_csv(tmp_path / "b.csv", closed, "u1")).samples) == 40
 
 
+def test_a_motion_written_with_few_digits_is_smooth(tmp_path):
+    """Near its turning points it moves on by the last digit now and then, which is no jump."""
+    rows = np.round(np.cos((np.arange(32) + 0.25) * CYCLE / 32), 1)[:, None]
+    np.testing.assert_array_equal(read_motion(write_csv(tmp_path / "a.csv", rows, "u1")).samples, rows * [1, 0, 0])
+
+
 def test_bad_files_are_refused(tmp_path):
     rows = sampled(HarmonicMotion(1.0, 0.4, 0.9, 1.1, 0.3), 64)
     ramp = np.linspace(0, 1, 64, endpoint=False)[:, None] * [1, 0, 0]

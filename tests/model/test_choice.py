@@ -146,6 +146,17 @@ def test_what_slides_is_told_by_the_force_along_the_surface_in_resonance_too(nor
         assert slip_rates(model, 1.5) == pytest.approx(5 * omega * free / (share * held + 0.01 * pressed), rel=1e-2)
 
 
+def test_a_force_of_a_higher_harmonic_turns_the_slip_as_one_of_its_own_frequency() -> None:
+    rates = []
+    for harmonic, frequency in ((1, 3.0), (2, 1.5)):
+        force = {"point": "m", "amplitude": 1.0, "harmonic": harmonic}
+        forces = [force | {"direction": direction} for direction in ([1, 0, 0], [0, 0, 1])]
+        pushed = _mass() | {"excitation": {"frequency": frequency, "forces": forces}}
+        rates.append(slip_rates(load_scene(pushed).model(), frequency)[0])
+    assert rates[0] > 0
+    assert rates[1] == pytest.approx(rates[0])
+
+
 def test_check_warns_of_a_method_that_slip_takes_beyond_the_budget() -> None:
     sliding = _mass(friction=0.5, preload=0.02, normal_stiffness=0.0, tangential_stiffness=5e6)
     (line,) = (

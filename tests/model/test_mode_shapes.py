@@ -74,6 +74,15 @@ def test_other_modes_that_the_points_do_not_determine_are_refused():
         ModeShapes(("a", "b"), still).change(structure(still[..., ::-1]))
 
 
+def test_the_mode_point_and_axis_that_differ_most_are_named():
+    before = SHAPE[..., :2]
+    now = before.copy()
+    now[1, 2, 1] = before[1, 2, 1] + 3
+    values = f"by {before[1, 2, 1]:.6g} there, by {now[1, 2, 1]:.6g} in the scene"
+    with pytest.raises(RuleError, match=f"mode 2 moves b along z {values}"):
+        ModeShapes(("a", "b"), before).change(structure(now))
+
+
 def test_modes_of_which_no_point_is_known_are_refused():
     with pytest.raises(RuleError, match="names no point of the scene") as error:
         ModeShapes(("a", "b"), SHAPE).change(structure(SHAPE, ("c", "d")))

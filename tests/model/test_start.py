@@ -66,13 +66,15 @@ def test_a_run_from_a_start_off_its_cone_by_rounding():
 
 
 def test_contacts_of_another_run_go_by_their_names():
-    model = oscillator(3.0, 1.39)
-    pads = tuple(replace(model.contacts[0], name=name) for name in ("one", "two"))
-    both = replace(model, contacts=pads, start=at_rest(2, 2))
-    end = Start(np.zeros(2), np.zeros(2), np.array([[ON_CONE, 0.0], [0.0, 0.02]]), np.array([SLIP, STICK]))
-    start = resumed_start(both, end, ("two", "one"))
-    np.testing.assert_array_equal(start.slip, end.slip[::-1])
-    assert start.state.tolist() == [STICK, SLIP]
+    """In an order that is not its own inverse."""
+    model, zero = oscillator(3.0, 1.39), np.zeros(2)
+    pads = tuple(replace(model.contacts[0], name=name) for name in ("one", "two", "three"))
+    three = replace(model, contacts=pads, start=at_rest(2, 3))
+    slip = np.array([[ON_CONE, 0.0], [0.0, 0.02], [0.01, 0.0]])
+    end = Start(zero, zero, slip, np.array([SLIP, STICK, STICK]))
+    start = resumed_start(three, end, ("two", "three", "one"))
+    np.testing.assert_array_equal(start.slip, slip[[2, 0, 1]])
+    assert start.state.tolist() == [STICK, SLIP, STICK]
 
 
 def test_the_slip_of_another_run_is_turned_into_the_axes_of_the_contact():

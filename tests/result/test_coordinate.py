@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray
 from systems import oscillator, oscillator_scene
 
 import timesim
-from timesim.result.coordinate import coordinates, place_of_largest, rubs, runs
+from timesim.result.coordinate import coordinates, over_keys, place_of_largest, rubs, runs
 
 
 def test_they_are_those_of_the_dimensions_in_use():
@@ -72,5 +73,13 @@ def test_of_bodies_that_move_alike_the_first_is_named():
     assert place_of_largest(amplitude) == (0, 1)
     amplitude[0, 2, 1] += 1e-5
     assert place_of_largest(amplitude) == (2, 1)
+    assert place_of_largest(1e-9 * amplitude) == (2, 1)
     assert place_of_largest(np.full((1, 2, 3), np.nan)) == (0, 0)
     assert place_of_largest(np.zeros((2, 2, 3))) == (0, 0)
+
+
+def test_the_scalar_along_which_a_curve_is_followed_is_none_that_it_is_followed_over():
+    names = ("structure.modes.0.mass", "contacts.pad.preload", "frequency")
+    data = xarray.Dataset({name: (("solution",), np.zeros(2)) for name in names})
+    assert over_keys(data) == list(names[:2])
+    assert over_keys(data.assign_attrs(along="contacts.pad.preload")) == [names[0]]

@@ -9,7 +9,7 @@ from timesim.model.model import GROUND
 from timesim.result.dataset import dataset
 from timesim.result.last_cycle import periodic_motion
 from timesim.result.motion import read_result_motion
-from timesim.result.netcdf import REQUIRED_ATTRIBUTES, TEXTS, save
+from timesim.result.netcdf import REQUIRED_ATTRIBUTES, TEXTS, read, save
 
 FREQUENCY, PHASE, SAMPLES = 1.25, 0.4, 40
 
@@ -59,3 +59,19 @@ def test_the_motion_of_a_contact_is_that_of_its_point_relative_to_the_other_in_i
     found = read_result_motion(path, "tip", against, frame).samples
     own, other = np.cos(theta[:-1, None]) * [2, 3, 1], np.sin(theta[:-1, None]) * [0.2, 0.4, 0.1]
     np.testing.assert_allclose(found, own - share * other, atol=1e-14)
+
+
+@pytest.mark.parametrize(("missed", "closes"), [(0.9e-3, True), (1.1e-3, False)])
+def test_a_motion_along_one_axis_closes_by_its_own_range(missed: float, closes: bool, tmp_path: Path):
+    theta = 2 * np.pi * np.arange(SAMPLES + 1) / SAMPLES
+    path = saved(tmp_path, theta, theta, [0.0], [2 * np.pi])
+    data = read(path)[""]
+    data["displacement"][:] = 0.0
+    data["displacement"][:, 0, 0] = np.cos(theta)
+    data["displacement"][-1, 0, 0] += 2 * missed
+    save(data, path)
+    if closes:
+        assert np.ptp(read_result_motion(path, "tip", GROUND, np.eye(3)).samples[:, 0]) == pytest.approx(2)
+    else:
+        with pytest.raises(ValueError, match=f"ends {missed:.2g} of the motion's range from where it begins"):
+            read_result_motion(path, "tip", GROUND, np.eye(3))

@@ -45,6 +45,26 @@ def test_a_value_between_two_points_is_refused():
         POINTS.one({"frequency": 1.15})
 
 
+def test_of_many_values_the_two_beside_the_one_asked_for_are_named():
+    many = SavedStates((), {"cycles": np.arange(20)}, {"frequency": 1 + np.arange(20) / 10}, 0.0)
+    for asked, beside in ((1.26, "1.2 and 1.3"), (1.31, "1.3 and 1.4"), (3.5, "2.8 and 2.9")):
+        with pytest.raises(RuleError) as error:
+            many.one({"frequency": asked})
+        assert error.value.hint == f"it has 20 from 1 to 2.9, next to it {beside}"
+
+
+@pytest.mark.parametrize(("sizes", "listed"), [((3, 4), True), ((2, 7), False)])
+def test_of_points_of_which_one_must_be_named_a_dozen_are_listed(sizes: tuple[int, int], listed: bool):
+    names = ("contacts.pad.preload", "frequency")
+    axes = {name: np.arange(1.0, 1 + size) for name, size in zip(names, sizes, strict=True)}
+    with pytest.raises(RuleError) as error:
+        SavedStates((), {"cycles": np.zeros(sizes)}, axes, 0.0).one({})
+    assert ("match: " in error.value.hint) == listed
+    if listed:
+        every = "; ".join(f"contacts.pad.preload {a + 1}, frequency {b + 1}" for a, b in np.ndindex(*sizes))
+        assert error.value.hint == f"12 match: {every}"
+
+
 def test_a_point_that_failed_is_refused_with_its_reason():
     with pytest.raises(RuleError, match="a point that could not be computed: no motion"):
         POINTS.one({"frequency": 1.1})
