@@ -12,7 +12,7 @@ from timesim.result import file as files
 from timesim.result import label
 from timesim.result.dataset import dataset
 from timesim.result.file import StoreError
-from timesim.result.netcdf import REQUIRED_ATTRIBUTES, open_result, save
+from timesim.result.netcdf import REQUIRED_ATTRIBUTES, open_result, save, save_elsewhere
 
 ATTRS = {
     "timesim_version": "0.1.0",
@@ -225,6 +225,20 @@ def test_an_interrupt_while_writing_leaves_nothing(tmp_path: Path, monkeypatch: 
     with pytest.raises(KeyboardInterrupt):
         save(_result(), tmp_path / "result.nc")
     assert not list(tmp_path.iterdir())
+
+
+def test_what_is_saved_without_samples_says_so_beside_why_the_run_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spare, folder = tmp_path / "spare", tmp_path / "run"
+    spare.mkdir()
+    folder.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(spare))
+    assert len(save_elsewhere({"": _result(complete=False, reason="interrupted")}, folder)) == 2
+    (whole,) = spare.iterdir()
+    assert open_result(whole).attrs["reason"] == "interrupted"
+    left = "interrupted; its samples are left out, for which was no room"
+    assert open_result(folder).attrs["reason"] == left
 
 
 def test_saving_into_no_folder(tmp_path: Path) -> None:

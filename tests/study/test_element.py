@@ -275,6 +275,7 @@ def test_element_result():
     assert run(scene(plan)).attrs["compile_seconds"] == 0, "nothing is compiled without the cross check"
     assert data.sizes["harmonic"] == 6
     assert data.force.dims == ("angle", "tangent")
+    np.testing.assert_allclose(data.attrs["phase_deg"], [0.0, 60.0], atol=1e-12)
     # The loop area is the sum over the axes of pi f_c (amplitude), along whatever axes.
     for prefix, amplitude in (("", data.attrs["amplitude"]), ("principal_", data.principal_amplitude.values)):
         area = np.pi * np.sum(data[f"{prefix}f_c"].values * np.abs(amplitude))

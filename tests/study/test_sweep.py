@@ -110,6 +110,17 @@ def test_axes_labels_and_types(three: xarray.Dataset) -> None:
     assert three.attrs["run_seconds"] > 0
 
 
+def test_what_the_values_change_of_a_model_lies_along_their_axes() -> None:
+    mass = "structure.modes.0.mass"
+    swept = load_scene(scene({"frequency": {"values": [1.39]}, "over": {PRELOAD: [1, 2, 3], mass: [1, 2]}}))
+    grid = sweep.Grid(swept, swept.plan)
+    dims, values = grid.of_models(("mode",), lambda model: model.preload * model.structure.mass)
+    assert dims == (PRELOAD, mass, "mode")
+    np.testing.assert_array_equal(values[..., 0], np.outer([1, 2, 3], [1, 2]))
+    np.testing.assert_array_equal(values[..., 1], np.outer([1, 2, 3], [1, 1]))
+    assert grid.of_models(("contact",), lambda model: model.friction)[0] == ("contact",)
+
+
 def test_settled_amplitudes(three: xarray.Dataset) -> None:
     for (preload, frequency), amplitude in SETTLED.items():
         assert x(of(three, preload, frequency)).item() == pytest.approx(amplitude, rel=1e-6)

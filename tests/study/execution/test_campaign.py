@@ -107,6 +107,20 @@ def test_threads_share_the_parts_of_a_work_that_has_them_to_itself():
     assert sorted(counted) == [1, 2, 3, 4, 5]
 
 
+def test_threads_that_all_have_a_work_do_its_parts_themselves():
+    """More would compete for the same processors."""
+    both = threading.Barrier(2, timeout=600)
+
+    def work(payload: None, before: None) -> dict[str, np.ndarray]:
+        both.wait()
+        own = [threading.get_ident() == thread for thread in worker.each(lambda _: threading.get_ident(), range(4))]
+        both.wait()
+        return {"own": np.array(own)}
+
+    results, _ = carry_through([Chunk(name, None) for name in "ab"], work, Execution(workers=2), identity="")
+    assert all(results[name]["own"].all() for name in "ab")
+
+
 def test_the_parts_of_a_work_are_halted_with_it():
     def work(payload: None, before: None) -> dict[str, np.ndarray]:
         worker.halt_by(lambda: True)
