@@ -139,6 +139,15 @@ def test_the_summary(folder):
     assert (folder / "run" / "ranges.png").exists()
 
 
+def test_the_summary_says_what_there_is_at_the_middle_of_a_range(result):
+    data, sweep = (tree.to_dataset().copy(deep=True) for tree in (result, result["sweep"]))
+    lower, upper = (float(data[f"amplitude_{name}"].sel(point="tip", axis="x")[0]) for name in ("lower", "upper"))
+    data["range"].values[0] = 1.25, 1.26
+    two, *_ = bistable_lines(data, sweep, 1e-4)
+    ends = "two motions from 1.25 to 1.26 Hz (each end to 0.0001 Hz)"
+    assert two == f"{ends}: amplitude of tip x {lower:.6g} or {upper:.6g} at 1.255 Hz"
+
+
 def test_the_summary_names_motions_that_do_not_repeat_each_cycle(result):
     data, sweep = (tree.to_dataset().copy(deep=True) for tree in (result, result["sweep"]))
     assert data["range_irregular"].values.tolist() == [[0, 0]]

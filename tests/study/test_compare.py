@@ -358,6 +358,17 @@ def test_points_with_another_offset_are_listed_with_the_reason():
     assert lines[1].endswith("contacts.pad.preload -4 at 2 to 3 Hz")
 
 
+@pytest.mark.parametrize(("apart", "friction", "sticks"), [(0.0, 1.0, True), (0.0, 0.0, False), (1.0, 1.0, False)])
+def test_a_contact_keeps_an_offset_where_it_is_closed_with_friction(apart: float, friction: float, sticks: bool):
+    """Beside one that slips: neither one that stays apart nor a stop has an offset that is free."""
+    slip, separation = np.full((*SHAPE, 2), 0.4), np.zeros((*SHAPE, 2))
+    slip[..., 1], separation[..., 1] = 0.0, apart
+    shares = {"slip_share": slip, "separation_share": separation, "friction": np.array([1.0, friction])}
+    points = points_on(1e-2, **shares)
+    assert points.judged.all()
+    np.testing.assert_array_equal(points.doubtful, np.full(SHAPE, sticks))
+
+
 def test_only_motions_that_stay_at_the_solution_of_the_balance_have_another_offset(monkeypatch: pytest.MonkeyPatch):
     """Of four doubtful points: time integration stays there, leaves it, comes to a longer period, and fails."""
     doubtful = np.zeros(SHAPE, dtype=bool)
