@@ -79,6 +79,12 @@ def test_transitions_that_accumulate() -> None:
     )
 
 
+@pytest.mark.parametrize("steps", [[5000, 75, 80], [75, 80, 5000]])
+def test_transitions_of_another_cycle_are_no_cause(steps: list[int]) -> None:
+    (line,) = effort_lines(cycles(steps, 900), soft(), PRESETS["standard"])
+    assert line.endswith(": neither stiffness nor transitions nor little normal load account for them")
+
+
 def test_vibrations_are_counted_in_a_cycle_of_the_frequency_of_its_phase() -> None:
     data = cycles([75, 5000, 80], 9)
     (line,) = effort_lines(data.assign(cycle_frequency=("cycle", [1.0, 0.01, 1.0])), soft(), PRESETS["standard"])

@@ -28,7 +28,7 @@ from timesim.study.optimum.peak import Motion, Response, _peak, begin_from
 from timesim.study.optimum.search import Peaks, SearchError
 from timesim.study.optimum.study import data_of
 from timesim.study.registry import carry_out, load_scene
-from timesim.study.summary.optimum import optimum_lines
+from timesim.study.summary.optimum import jumps_beside, optimum_lines
 
 pytestmark = pytest.mark.long
 
@@ -354,6 +354,16 @@ def test_a_peak_that_rises_beside_the_least_one_does_not_jump(best: float, power
     peaks = Known(lambda value: 0.1 + abs(value - best) ** power)
     peaks.search()
     assert not any("jumps" in line for line in optimum_lines(data_of(peaks).assign_attrs(complete=1), 1e-3))
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(
+    ("values", "peak", "jumps"), [((0, 10, 11), (1, 11, 12), []), ((0, 1, 11), (1, 3, 4), [1]), ((0, 1), (1, 3), [])]
+)
+def test_a_rise_is_judged_by_the_length_over_which_it_goes_on(sign: int, values: Any, peak: Any, jumps: list[int]):
+    """Bisected values are not evenly apart."""
+    at, beside = (0, jumps) if sign > 0 else (len(values) - 1, [len(values) - 1 - i for i in jumps])
+    assert jumps_beside(sign * np.array(values, float)[::sign], np.array(peak, float)[::sign], at) == beside
 
 
 def test_peaks_that_are_rounding_are_the_same():
