@@ -110,11 +110,23 @@ def test_sparse_matrices_and_a_constant_force():
     assert mean == pytest.approx(np.linalg.solve(K, [0, 2.0])[1], rel=1e-12)
 
 
+def test_forces_have_their_phases_in_degrees():
+    """A constant force is the harmonic one as it stands at its phase."""
+    one, other = timesim.modal_forces([1.0, 2.0], [10.0, -20.0])["modal_force"]
+    assert (one, other) == ({"amplitude": 1.0, "phase_deg": 10.0}, {"amplitude": 2.0, "phase_deg": -20.0})
+    assert [force["phase_deg"] for force in timesim.modal_forces([1.0, 2.0], 30.0)["modal_force"]] == [30.0, 30.0]
+    (pull,) = timesim.point_force("tip", [1, 0, 0], 2.0, phase_deg=60.0, harmonic=0)["constant_forces"]
+    assert pull["amplitude"] == pytest.approx(1.0)
+
+
 def test_steady_states_and_curves(tmp_path):
     point = timesim.settle(oscillator(), 1.39)
     assert abs(point["amplitude"].sel(point="tip", axis="x").item() - 0.15612878) < 1e-7
     row = timesim.sweep(oscillator(), [1.39])
     assert_same(row.isel(direction=0, frequency=0), point)
+    short = timesim.settle(oscillator(), 1.39, tolerance=1e-9, max_cycles=20)
+    assert short["cycles"] < point["cycles"]
+    assert (short["settled"].item(), short.attrs["settle_tolerance"]) == (0, 1e-9)
     with pytest.raises(ValueError, match=r"a single direction: .* result.sel\(direction="):
         timesim.plot(row.isel(direction=0), tmp_path)
     assert timesim.plot(point, tmp_path / "point", log="amplitude")

@@ -294,10 +294,16 @@ def test_a_run_that_fails_in_its_run_up_keeps_what_it_has(tmp_path: Path) -> Non
 
 
 def test_the_summary_gives_the_amplitude_of_each_phase() -> None:
-    lines = carry_out(load_scene(SHORT)).summary
+    outcome = carry_out(load_scene(SHORT))
+    lines, amplitude = outcome.summary, outcome.groups[""].cycle_amplitude.values[:, 0]
     assert [line.split(":")[0] for line in lines[-5:]] == ["run-up", "run-up", "phase 1", "phase 2", "phase 3"]
     assert "2 cycles at 1.6 Hz, amplitude" in lines[-2]
     assert ["those of the cycle before differ by" in line for line in lines[-5:]] == [True, True, False, True, False]
+    axis = np.argmax(amplitude.max(axis=0))
+    for line, end in zip(lines[-5:], (2, 5, 6, 8, 9), strict=True):
+        assert f"amplitude {amplitude[end - 1, axis]:.6g} of tip {'xyz'[axis]} at its end" in line
+        change = np.abs(amplitude[end - 1] - amplitude[end - 2]).max() / amplitude[end - 1].max()
+        assert "differ by" not in line or line.endswith(f" differ by {change:.1e} of the largest")
 
 
 def test_the_summary_of_a_transient_gives_the_last_amplitude_and_how_settled_it_is() -> None:
