@@ -10,12 +10,14 @@ import pytest
 import xarray
 import zoo
 from commands import CONFIGS, options, run_of_config
-from systems import oscillator_scene
+from systems import oscillator, oscillator_scene
 from typer.testing import CliRunner
 
 import timesim
 from timesim.cli import app
 from timesim.engine.status import RunError
+from timesim.hbm.balance import Balance
+from timesim.hbm.scheme import Scheme
 from timesim.orbit.settling import steady_states
 from timesim.picture import compare as plot_compare
 from timesim.result.file import StoreError
@@ -126,6 +128,24 @@ def test_a_cycle_by_both_methods(result):
     angle = np.deg2rad(cycle.excitation_angle.values)
     first = 2 * np.abs(np.exp(-1j * angle) @ x.sel(found_by="sweep", point="tip", axis="x").values) / angle.size
     assert height.sel(found_by="sweep", point="tip", axis="x", harmonic=1) == pytest.approx(first, rel=1e-9)
+
+
+def test_time_integration_begins_with_the_place_the_speed_and_the_slip_of_a_solution():
+    """A series of two harmonics; the contact's is a constant, and it bears an elastic displacement."""
+    model, frequency = oscillator(3.0, 1.39), 1.39
+    balance = Balance(model, frequency, Scheme(2, 64))
+    modal = np.array([[0.01, -0.02], [0.01 + 0.02j, -0.03j], [0.005j, 0.01 - 0.01j]])
+    coefficient, elastic = np.zeros((1, 3, 5)), np.array([[0.004, -0.003]])
+    coefficient[0, :2, 0] = 0.05, 0.02
+    start = compare._start(model, balance, coefficient, modal, elastic / balance.length, frequency)
+
+    def motion(time: float) -> np.ndarray:
+        return (np.exp(2j * np.pi * frequency * time * np.arange(3)) @ modal).real
+
+    step = 1e-6
+    np.testing.assert_allclose(start.displacement, motion(0.0), atol=1e-15)
+    np.testing.assert_allclose(start.velocity, (motion(step) - motion(-step)) / (2 * step), rtol=1e-6)
+    np.testing.assert_allclose(start.slip, [np.array([0.05, 0.02]) * balance.length - elastic[0]], atol=1e-12)
 
 
 def test_pictures_are_drawn_by_run_and_again_by_plot(folder):

@@ -284,6 +284,15 @@ def test_jumps_are_found_and_bisected(both: xarray.Dataset) -> None:
         assert found[1] >= true[0]
 
 
+def test_jumps_of_a_chain_ascend_in_frequency_whichever_way_it_is_swept() -> None:
+    swept = load_scene(scene({"frequency": {"values": [1, 2, 3]}, "direction": "both"}))
+    grid = sweep.Grid(swept, swept.plan)
+    arrays, _ = grid.gathered({}, {})
+    data = grid.data(arrays, [(0, 0, 1.2, 1.3), (0, 1, 2.4, 2.5), (0, 1, 1.1, 1.2)], {})
+    np.testing.assert_array_equal(data.jump_low, [[1.2, np.nan], [1.1, 2.4]])
+    np.testing.assert_array_equal(data.jump_high, [[1.3, np.nan], [1.2, 2.5]])
+
+
 def test_a_jump_is_reported_with_its_chain(both: xarray.Dataset, tmp_path: Path) -> None:
     record = read(save(both, tmp_path / "result.nc"))[""]
     lines = list(jump_lines(record))
