@@ -10,11 +10,13 @@ import pytest
 import xarray
 from scipy.integrate import solve_ivp
 from simulation import simulate
-from systems import oscillator_scene
+from systems import oscillator, oscillator_scene
 
 import timesim
 from timesim.engine.companion import Companion, estimate
+from timesim.engine.trajectory import Phase, Run
 from timesim.model import promise
+from timesim.model.solver import PRESETS
 from timesim.picture import jump as plot_jump
 from timesim.picture import transient as plot_transient
 from timesim.result import netcdf
@@ -206,6 +208,18 @@ def test_the_progress_of_a_run_ends_with_all_of_it(estimated: bool) -> None:
     )
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(1.0)
+
+
+def test_the_phase_at_the_end_is_that_of_the_excitation_in_a_whole_turn() -> None:
+    """After whole cycles it is that of the start, in the second half of a turn as well."""
+    model = oscillator(3.0, 1.39)
+    for degrees in (0.0, 30.0, 229.0):
+        turned = replace(model, start=replace(model.start, phase=np.deg2rad(degrees)))
+        run = Run(turned, [Phase(1.39, 1)], PRESETS["standard"])
+        for _ in run.batches():
+            pass
+        found = float(transient.final_variables(run)["final_phase_deg"][1])
+        assert abs((found - degrees + 180) % 360 - 180) < 1e-9
 
 
 def test_the_phase_of_the_excitation_is_continuous() -> None:
