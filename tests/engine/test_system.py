@@ -1,6 +1,7 @@
 """The dimensionless system: the force of the excitation at any phase of a cycle, and the power of each force."""
 
 from dataclasses import replace
+from unittest.mock import patch
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ from systems import generated_model, pad, structure
 
 from timesim.engine.barrier import matmul
 from timesim.engine.event_loop import one_by_one
-from timesim.engine.method import step_method
+from timesim.engine.method import Explicit, step_method, tableau
 from timesim.engine.system import Point, Work, excitation, system_of
 from timesim.engine.trajectory import Frame
 from timesim.model.model import SEPARATION, SLIP, Model, Start
@@ -102,12 +103,33 @@ def test_a_product_of_matrices_is_that_of_numpy(shape: tuple[int, int, int]):
 
 
 def test_many_modes_or_contacts_go_one_after_the_other():
-    """A few lanes of few modes are quicker side by side, whatever the method; collocation never is."""
+    """Few modes are quicker side by side, whatever the explicit method; collocation never is."""
     tsit5, collocation = (step_method(Solver(name, 1e-6, 1e-8)) for name in ("tsit5", "exponential"))
-    for modes, contacts, wide in ((2, 1, False), (20, 3, False), (20, 8, True), (40, 1, True)):
+    for modes, contacts, wide in ((2, 1, False), (10, 2, False), (12, 2, True), (20, 8, True), (40, 1, True)):
         system = system_of(generated_model(1, modes, contacts), 1.3)
         assert one_by_one(tsit5, system, 4) == wide
         assert one_by_one(tsit5, system, 1)
         assert one_by_one(collocation, system, 4)
         batch = jax.tree.map(lambda leaf: np.stack([leaf, leaf]), system)
         assert batch.wide == wide
+
+
+@pytest.mark.parametrize("name", ["rk4", "tsit5", "dopri5", "dopri8"])
+def test_a_step_whose_stages_are_the_turns_of_a_loop_is_that_of_unrolled_ones(name: str):
+    """Also in a structure so large that they are in any case; the tableau ends with the solution."""
+    own = tableau(name)
+    np.testing.assert_allclose(own.weights.sum(axis=1), own.nodes, atol=1e-15)
+    assert own.nodes[-1] == 1
+    assert not own.weights[:, -1].any()
+    for modes, contacts in ((2, 1), (12, 2)):
+        system, rng = system_of(generated_model(1, modes, contacts), 1.3), np.random.default_rng(5)
+        q, p, w = rng.normal(size=modes), rng.normal(size=modes), rng.normal(size=(2, contacts))
+        point, state = Point(q, p, tuple(w), None), jnp.arange(contacts) % 2
+        time, h = jnp.asarray(0.4), jnp.asarray(0.05)
+        rate = system.field(state, time, point)
+        with patch("timesim.engine.system.WIDE", np.inf):
+            unrolled = Explicit(name).advance(system, state, time, point, rate, h)
+        for looped in (Explicit(name, looped=True), *([Explicit(name)] if system.wide else [])):
+            found = looped.advance(system, state, time, point, rate, h)
+            for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(unrolled), strict=True):
+                np.testing.assert_allclose(one, other, rtol=0, atol=1e-13 * np.abs(other).max(initial=1.0))

@@ -105,6 +105,11 @@ class Tableau(NamedTuple):
     stages: tuple[tuple[float, ...], ...]
     error_weights: tuple[float, ...]
 
+    @property
+    def weights(self) -> np.ndarray:
+        """Those of all slopes for each stage behind the first, shape (stage, stage + 1)."""
+        return np.array([np.pad(row, (0, len(self.error_weights) - len(row))) for row in self.stages])
+
 
 RK4 = Tableau(
     order=4,
@@ -153,32 +158,29 @@ class Explicit(Method):
     ) -> Advance:
         own = tableau(self.name)
         estimates = any(own.error_weights)
-        if self.looped or dynamics.long:
-            slopes, points = self.staged(dynamics, state, time, point, rate, h)
-            end, end_rate = jax.tree.map(lambda rows: rows[-1], (points, slopes))
-            error = _moved_by_all(None, slopes, h * jnp.asarray(own.error_weights)) if estimates else None
-            return Advance(end, end_rate, error)
+        if self.looped or dynamics.wide:
+            rows, weights = self.slopes(dynamics, state, time, point, rate, h), h * jnp.asarray(own.weights)
+            end = _moved_by_all(point, rows, weights[-1])
+            error = _moved_by_all(None, rows, h * jnp.asarray(own.error_weights)) if estimates else None
+            return Advance(end, jax.tree.map(lambda leaf: leaf[-1], rows), error)
         slopes, end = [rate], point
         for node, row in zip(own.nodes, own.stages, strict=True):
             end = moved(point, slopes, row, h)
             slopes.append(dynamics.field(state, time + node * h, end))
         return Advance(end, slopes[-1], moved(None, slopes, own.error_weights, h) if estimates else None)
 
-    def staged(self, dynamics: Dynamics, state: State, time: Array, point: Y, rate: Y, h: Array) -> tuple[Y, Y]:
-        """Slopes at all stages of a step, and the continuous states at those behind the first, their axis the first."""
+    def slopes(self, dynamics: Dynamics, state: State, time: Array, point: Y, rate: Y, h: Array) -> Y:
+        """Those at all stages of a step, their axis the first, by a loop over the stages."""
         own = tableau(self.name)
-        num_slopes = len(own.nodes) + 1
-        weights = np.array([np.pad(row, (0, num_slopes - len(row))) for row in own.stages])
-        blank = jax.tree.map(lambda leaf: jnp.zeros((num_slopes, *leaf.shape)).at[0].set(leaf), rate)
+        nodes, weights = jnp.asarray(own.nodes), jnp.asarray(own.weights)
 
-        def stage(slopes: Y, turn: tuple[Array, Array, Array]) -> tuple[Y, Y]:
-            index, node, row = turn
-            here = _moved_by_all(point, slopes, h * row)
-            slope = dynamics.field(state, time + node * h, here)
-            put = partial(jax.lax.dynamic_update_index_in_dim, index=index, axis=0)
-            return jax.tree.map(put, slopes, slope), here
+        def stage(i: Array, rows: Y) -> Y:
+            here = _moved_by_all(point, rows, h * weights[i])
+            slope = dynamics.field(state, time + nodes[i] * h, here)
+            return jax.tree.map(partial(jax.lax.dynamic_update_index_in_dim, index=i + 1, axis=0), rows, slope)
 
-        return jax.lax.scan(stage, blank, (jnp.arange(1, num_slopes), jnp.asarray(own.nodes), jnp.asarray(weights)))
+        rows = jax.tree.map(lambda leaf: jnp.zeros((len(own.nodes) + 1, *leaf.shape)).at[0].set(leaf), rate)
+        return jax.lax.fori_loop(0, len(own.nodes), stage, rows)
 
 
 def moved(point: Y | None, slopes: list[Y], weights: tuple[float, ...], h: Float[Array, ""]) -> Y:

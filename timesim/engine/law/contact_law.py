@@ -238,13 +238,8 @@ class Dynamics(abc.ABC):
         return self
 
     @property
-    def long(self) -> bool:
-        """Whether so much goes into a rate that the stages of a step are the turns of a loop: one is compiled."""
-        return False
-
-    @property
     def wide(self) -> bool:
-        """Whether so much goes into a rate that many trajectories take longer side by side than one after the other."""
+        """Whether trajectories go one after the other, the stages of a step in a loop: so much goes into a rate."""
         return False
 
 

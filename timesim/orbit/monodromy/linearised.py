@@ -4,6 +4,7 @@ from timesim.runtime import tree_class  # isort: skip
 
 from collections.abc import Callable
 from functools import partial
+from operator import itemgetter
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ from jaxtyping import Array, Float
 
 from timesim.engine.lanes import batch_first, batch_last, over_lanes
 from timesim.engine.law.contact_law import Motion, Plane, State
-from timesim.engine.method import Explicit, Tableau
+from timesim.engine.method import Explicit, Tableau, tableau
 from timesim.engine.step import Step, transition
 from timesim.engine.system import Point, System
 from timesim.orbit.monodromy.derivative import ending, felt, vector_of
@@ -43,20 +44,20 @@ class Linear:
 
 def weights_of(own: Tableau) -> np.ndarray:
     """Weights of the slopes at the stages and, last, at the end of a step, a row each; that of the end has none."""
-    num = len(own.stages)
-    return np.array([np.pad(row, (0, num - len(row))) for row in ((), *own.stages)])
+    return np.pad(own.weights[:, :-1], [(1, 0), (0, 0)])
 
 
 @program
 def linear(method: Explicit, system: System, steps: Step) -> Linear:
     """`Linear` of steps, the first axis that of the steps; the system is of one trajectory."""
+    weights = jnp.asarray(weights_of(tableau(method.name)))
 
     def one(step: Step) -> Linear:
         here = step.state, step.time, step.start
         followed = felt(method, system, step)
-        _, points = method.staged(followed, *here, followed.field(*here), step.h)
-        end = jax.tree.map(lambda rows: rows[-1], points)
-        points = jax.tree.map(lambda y, rows: jnp.concatenate([y[None], rows[:-1]]), step.start, points)
+        slopes = method.slopes(followed, *here, followed.field(*here), step.h)
+        moved = jax.tree.map(lambda y, rows: y + step.h * jnp.tensordot(weights, rows[:-1], 1), step.start, slopes)
+        points, end = (jax.tree.map(itemgetter(place), moved) for place in (slice(-1), -1))
         rates = jax.vmap(partial(_by_contact, followed, partial(_rates, followed, step.state)))(points)
         before = step.end_rate
         crossed = step.state != step.state_after
