@@ -84,6 +84,20 @@ def test_how_far_a_trajectory_is_off_counts_from_the_motion_that_a_step_of_newto
         assert departure.off == pytest.approx(distance, abs=1e-15)
 
 
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+@pytest.mark.parametrize("aside", [(0.0, -0.15, -1e-9, 0.0), (0.0, -0.15, -1e-8, 1e-3), (0.0, 0.3, 0.0, 0.0)])
+def test_how_far_it_is_moved_is_relative_to_the_state(aside, scale):
+    """So is how far a trajectory is off, also near the limit from which on it is elsewhere."""
+    found = []
+    for size in (1.0, scale):
+        motion, there = (replace(at(size * (STATE + way)), size=2.0 * size) for way in (np.zeros(4), np.array(aside)))
+        departure = Departure(period_of(SLOW, motion), there)
+        found.append((departure.off, *[(lane.vector / size - STATE) for lane in departure.disturbed()]))
+    assert len(found[0]) == len(found[1])
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(other, one, rtol=1e-6, atol=1e-15)
+
+
 def test_what_grows_slowly_is_moved_farther_to_the_side_of_the_trajectory_and_farther_again():
     assert np.abs(off(SLOW, np.zeros(4))[0]).max() == pytest.approx(FARTHEST * 1.001**-200)
     for side in (1, -1):

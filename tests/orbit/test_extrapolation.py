@@ -41,3 +41,23 @@ def test_a_sequence_that_turns_leads_nowhere():
     angle = np.arange(4) * np.pi / 3
     spiral = 0.9 ** np.arange(4)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     assert not limits(spiral[None])[1][0]
+
+
+def by_ratios(*ratios):
+    """The last terms of a sequence whose changes fall by these ratios, one after the other."""
+    changes = np.cumprod([2e-3, *ratios])
+    return np.cumsum([1.0, *changes])[None, :, None], changes[-1]
+
+
+@pytest.mark.parametrize(("before", "times"), [(0.902, 1.0), (0.898, 1.0), (0.895, 2.0), (0.885, 5.0)])
+def test_a_ratio_that_hardly_changes_is_constant_and_one_that_rises_leads_to_five_times_as_much_at_most(before, times):
+    """The rise is relative to the square of 0.1: of 0.5 it doubles what is to come, and above 0.8 it counts as 0.8."""
+    terms, last = by_ratios(before, 0.9)
+    found, leads = limits(terms)
+    assert leads[0]
+    assert found[0, 0] - terms[0, -1, 0] == pytest.approx(times * last * 0.9 / 0.1, rel=1e-9)
+
+
+@pytest.mark.parametrize("ratios", [(0.1, 0.1), (-0.5, -0.5), (0.9, 0.5), (0.5, 0.9), (1.1, 1.1)])
+def test_a_sequence_whose_ratio_is_small_or_changes_leads_nowhere(ratios):
+    assert not limits(by_ratios(*ratios)[0])[1][0]

@@ -19,3 +19,11 @@ def test_a_resonance_between_points_does_not(width):
     for top in np.linspace(-0.3, 0.3, 9):
         response = np.abs(1 / (np.arange(-12, 13) - top + 1j * width))
         assert suspects(response[:, None]).size == 0, top
+
+
+def test_a_change_that_is_small_beside_the_largest_amplitude_does_not():
+    """However still the amplitude is beside it."""
+    assert suspects(np.ones((9, 2))).size == 0
+    for size, stands_out in ((0.02, []), (0.04, [3])):
+        step = 1 + size * (np.arange(9) > 3)
+        assert suspects(step[:, None]).tolist() == stands_out

@@ -86,6 +86,41 @@ def test_what_is_found_from_where_disturbances_grow_is_refused():
     assert once == Shot(twice.lane, 1, leaves=True)
 
 
+def test_disturbances_that_grow_on_the_way_are_no_reason_to_refuse_what_is_found():
+    """Only where the first iterate lies, on the march itself, tells whether a march would move away."""
+    here = near(0.01)
+    led_to = iterated(Shot(here, before=cycle(near(0.2), turning(0.9)), count=1), cycle(here, turning(1.1)), TOLERANCE)
+    assert isinstance(led_to, Shot)
+    assert not led_to.leaves
+    assert iterated(led_to, cycle(at(FIXED), turning(0.9)), TOLERANCE) == Converged(0.0)
+
+
+def test_a_shortened_step_begins_where_the_step_did():
+    before, here = cycle(near(0.0, 0.02), np.diag([0.999, 0.1])), near(0.3)
+    led_to = iterated(Shot(here, before=before, count=1), cycle(here, np.diag([0.999, 0.1])), TOLERANCE)
+    assert isinstance(led_to, Shot)
+    np.testing.assert_allclose(led_to.lane.vector, before.start.vector - SHORTER * np.array([0.0, 0.02]), rtol=1e-9)
+
+
+def test_steps_are_not_made_finer_while_they_lead_closer_quickly():
+    """A change below the noise of the steps that still is a small part of the one before is none."""
+    slope = turning(0.5)
+    before, here = cycle(near(1e-3), slope), near(1e-6)
+    led_to = iterated(Shot(here, before=before, count=1), cycle(here, slope), TOLERANCE)
+    assert isinstance(led_to, Shot)
+    assert (led_to.lane.control.rtol, led_to.share) == (RTOL, 1.0)
+    np.testing.assert_allclose(led_to.lane.vector, FIXED, rtol=1e-12)
+
+
+def test_a_body_that_is_ever_faster_has_no_steady_state():
+    """The first entry is its place, the second its speed, which a constant force raises by as much each cycle."""
+    start = at(np.array([0.5, 1.0]))
+    start.shifts = np.array([[1.0, 0.0]])
+    end = at(start.vector + np.array([1.0, 0.01]))
+    recorded = Cycle(start, end, 1, True, SWING, np.array([[1.0, 1.0], [0.0, 1.0]]), NOTHING)
+    assert iterated(Shot(start), recorded, TOLERANCE) is Failure.ASTRAY
+
+
 def test_it_has_converged_when_the_step_is_small_beside_the_state():
     for share, converged in ((0.9, True), (1.1, False)):
         start = near(share * TOLERANCE)

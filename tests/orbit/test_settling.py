@@ -16,6 +16,7 @@ from timesim.orbit.fourier import phase_deg, to_phasors
 from timesim.orbit.recurrence import Recurrence, is_irregular, nearest_period, recurrence_of, without_way
 from timesim.orbit.search import Search, Task, after_march, after_measure, after_shot
 from timesim.orbit.settling import Chain, first_lane, steady_states, warm_up
+from timesim.orbit.shooting import Converged, Failure, Shot
 from timesim.orbit.threshold import CYCLES_A_ROUND, LONGEST
 
 HELD = np.zeros((0, 2))  # no body moves without an effect
@@ -323,6 +324,94 @@ def test_it_is_shot_where_that_is_asked_for_and_not_too_early():
     for cycles, task in ((SLOW - CYCLES_A_ROUND - 1, Task.MARCH), (SLOW - CYCLES_A_ROUND, Task.SHOOT)):
         assert marched(DRIFT, cycles=cycles).task is task
     assert marched(DRIFT, first_shot=NEVER, cycles=SLOW).task is Task.MARCH
+
+
+def test_the_change_after_each_round_is_kept():
+    """All of them tell whether a motion settles at all."""
+    lane = SimpleNamespace(status=Status.RUNNING, quiet=0.0, shifts=HELD)
+    before = Search(0, 0, lane, returns=tuple(DRIFT[:CYCLES_A_ROUND]), changes=(0.1, 0.05), cycles=3 * CYCLES_A_ROUND)
+    after = after_march(before, lane, DRIFT[CYCLES_A_ROUND:], PRESETS["standard"], Criterion())
+    assert after.changes[:2] == (0.1, 0.05)
+    assert after.changes[2:] == (pytest.approx(1e-5),)
+
+
+@pytest.mark.parametrize(("cycles", "asked"), [(CYCLES_A_ROUND - 0.1, 0), (CYCLES_A_ROUND + 0.1, 1)])
+def test_a_proof_that_no_contact_moves_needs_a_round_without_a_transition(cycles, asked, monkeypatch):
+    """And three times as many cycles as the one before; where it fails the march goes on."""
+    proofs = []
+    monkeypatch.setattr("timesim.orbit.search.proven_orbit", lambda lane, solver: proofs.append(lane))
+    lane = SimpleNamespace(status=Status.RUNNING, quiet=2 * np.pi * cycles, shifts=HELD)
+    search = Search(0, 0, lane, returns=tuple(DRIFT[:CYCLES_A_ROUND]), cycles=CYCLES_A_ROUND)
+    counts = []
+    for _ in range(5):
+        search = after_march(search, lane, DRIFT[CYCLES_A_ROUND:], PRESETS["standard"], Criterion(first_shot=NEVER))
+        counts.append(len(proofs))
+        assert search.task is Task.MARCH
+    assert counts == ([0] * 5 if not asked else [1, 1, 1, 1, 2])  # after 16 and 48 cycles
+
+
+def test_what_nearly_repeats_after_several_cycles_is_shot_over_these_every_other_time():
+    """A free vibration that decays may seem to."""
+    turns = DRIFT + 0.1 * (np.arange(2 * CYCLES_A_ROUND) % 3)[:, None]
+    lane = SimpleNamespace(status=Status.RUNNING, quiet=0.0, shifts=HELD)
+    for attempts, period in ((0, 1), (1, 3), (2, 1)):
+        before = Search(0, 0, lane, returns=tuple(turns[:CYCLES_A_ROUND]), cycles=3 * CYCLES_A_ROUND, attempts=attempts)
+        last = turns[CYCLES_A_ROUND:]
+        after = after_march(before, lane, last, PRESETS["standard"], Criterion(first_shot=SHOOT))
+        assert (after.task, after.shot.period, after.attempts) == (Task.SHOOT, period, attempts + 1)
+
+
+def test_what_repeats_but_for_noise_is_shot_over_its_period():
+    noise = 1e-8 * np.random.default_rng(2).choice([-1.0, 1.0], STILL.shape)
+    returns = STILL + 0.1 * (np.arange(len(STILL)) % 2)[:, None] + noise
+    after = marched(returns, tolerance=1e-9)
+    assert (after.task, after.shot.period, after.period) == (Task.SHOOT, 2, 2)
+    assert marched(returns, tolerance=1e-9, first_shot=NEVER).task is Task.MEASURE
+
+
+def measured(left: float = 0.0, period: int = 1, **recorded):
+    """A recorded period that repeats, and its orbit: what it was called with."""
+    lane = SimpleNamespace(control=SimpleNamespace(rtol=1e-7), frequency=1.39, model=oscillator(3.0, 1.39))
+    default = {"complete": True, "closes": True, "cycles": period, "left": left, "is_unstable": False}
+    orbit = lambda *given, **named: SimpleNamespace(given=given, **named)  # noqa: E731
+    return SimpleNamespace(start=lane, end=lane, orbit=orbit, **(default | recorded))
+
+
+def test_what_the_derivative_shows_to_be_still_on_its_way_is_shot():
+    for left, task in ((0.5e-8, Task.DONE), (2e-8, Task.SHOOT)):
+        recorded = measured(left, 2)
+        search = Search(0, 0, recorded.start, task=Task.MEASURE, cycles=30, period=2)
+        after = after_measure(search, recorded, PRESETS["standard"], Criterion(tolerance=1e-8))
+        assert (after.task, after.cycles) == (task, 32)
+        assert task is Task.DONE or after.shot == Shot(recorded.end, 2)
+    given_up = after_measure(
+        replace(after, task=Task.MEASURE), recorded, PRESETS["standard"], Criterion(tolerance=1e-8)
+    )
+    assert given_up.task is Task.DONE  # as nearly as can be told: it has been shot
+
+
+def test_what_was_shot_over_several_cycles_is_measured_over_these(monkeypatch):
+    """And what is not found where a motion nearly repeats is measured as it is: a march told its period."""
+    recorded = measured(period=3)
+    search = Search(0, 0, recorded.start, task=Task.SHOOT, cycles=30, shot=Shot(recorded.start, 3))
+    for outcome, period in ((Converged(1e-9), 0), (Failure.ASTRAY, 3)):
+        monkeypatch.setattr("timesim.orbit.search.iterated", lambda *_, outcome=outcome: outcome)
+        after = after_shot(replace(search, period=period), recorded, Criterion())
+        assert (after.cycles, after.period) == (33, 3)
+        assert after.task is (Task.MEASURE if period else Task.DONE)
+        assert period or after.orbit.given == (33, 3, 1e-9)
+    assert after_shot(search, recorded, Criterion()).task is Task.MARCH
+
+
+def test_a_motion_in_which_no_contact_moves_is_not_irregular(monkeypatch):
+    """However little it has decayed within its budget."""
+    monkeypatch.setattr("timesim.orbit.search.slowest_decay", lambda lane: 0.003)
+    changes = tuple(0.1 * np.random.default_rng(5).uniform(0.8, 1.25, 250))
+    for is_held in (False, True):
+        recorded = measured(period=0, is_held=is_held)
+        search = Search(0, 0, recorded.start, task=Task.MEASURE, cycles=2000, changes=changes)
+        after = after_measure(search, recorded, PRESETS["standard"], Criterion())
+        assert after.orbit.irregular != is_held
 
 
 def test_what_nearly_repeats_after_a_long_period_is_shot_once_the_budget_is_spent():

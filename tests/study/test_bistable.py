@@ -866,6 +866,190 @@ def test_ranges_of_motions_that_differ_by_their_phase_only():
     assert (found.low, found.high) == pytest.approx((1.43, 1.62), abs=1e-6)
 
 
+def test_several_jumps_of_one_size_are_no_slope():
+    """Twice halved they still change the amplitude evenly, but by far more than a jump has to."""
+    ends = (1.06, 1.19, 1.31, 1.44)
+    toy = Branches(*zip((-np.inf, *ends), (*ends, np.inf), strict=True), rise=0.3, slope=0.0)
+    search, on = toy_search(toy), toy.orbit(0, 1.0)
+    (beyond,) = toy.along(on.end, [1.5])
+    jumps = narrowed([Stretch(search.model, 1.0, 1.5, on, beyond, least=0.05)], search.steady, 1e-6)
+    np.testing.assert_allclose([jump.near for _, jump in jumps], ends, atol=1e-6)
+
+
+def test_jumps_come_in_the_order_in_which_a_sweep_down_meets_them():
+    """And adjacent ones are one, as of a sweep up."""
+    toy = Branches((-np.inf, 1.3), (1.2, 1.45), (1.4, np.inf))
+    search, on = toy_search(toy), toy.orbit(2, 1.5)
+    (beyond,) = toy.along(on.end, [1.0])
+    step = Stretch(search.model, 1.5, 1.0, on, beyond, least=0.05)
+    jumps = [jump for _, jump in narrowed([step], search.steady, 1e-6)]
+    np.testing.assert_allclose([jump.near for jump in jumps], [1.4, 1.2], atol=1e-6)
+    step = Stretch(search.model, 1.41, 1.19, toy.orbit(2, 1.41), beyond, least=0.05)
+    toy.spans = ((-np.inf, 1.3), (1.295, 1.45), (1.305, np.inf))
+    ((_, jump),) = narrowed([step], search.steady, 0.22 / 8)
+    np.testing.assert_array_equal(jump.on.amplitude, toy.orbit(2, jump.near).amplitude)
+    np.testing.assert_array_equal(jump.beyond.amplitude, toy.orbit(0, jump.far).amplitude)
+
+
+def test_jumps_behind_one_that_was_lost_by_the_length_of_a_step_are_found():
+    """Steps above 0.2 lead from motion 0 to 5, shorter ones to 3, 4, and 5; also where steps beside are alike."""
+    toy, ends = Branches(*[(-np.inf, np.inf)] * 6, rise=0.1, slope=0.0), (1.3, 1.5, 1.8)
+
+    def lands(branch: float, last: float, frequency: float) -> float:
+        passed = sum(frequency > end for end in ends)
+        return 5 if branch == 0 and frequency - last > 0.2 else max(branch, passed and 2 + passed)
+
+    steady, carried = stepping(toy, lands)
+    (on,), (beyond,) = carried(0, 1.0, [1.0]), carried(5, 2.0, [2.0])
+    step = Stretch(oscillator(2.0, 1.0), 1.0, 2.0, on, beyond, least=0.05, even=True)
+    found = [low for _, low, _ in jumps_of([step], steady, 1e-4)]
+    np.testing.assert_allclose(found, ends, atol=1e-4)
+
+
+def test_jumps_of_a_motion_that_the_sweep_was_never_on_are_none():
+    """Steps above 0.2 lose motion 0, which lives on; motion 1, to which they lead, is lost at 1.8."""
+    toy = Branches(*[(-np.inf, np.inf)] * 3, slope=0.0)
+
+    def lands(branch: float, last: float, frequency: float) -> float:
+        if branch == 0:
+            return float(frequency - last > 0.2)
+        return 2 if frequency > 1.8 else branch
+
+    steady, carried = stepping(toy, lands)
+    (on,), (beyond,) = carried(0, 1.0, [1.0]), carried(2, 2.0, [2.0])
+    step = Stretch(oscillator(2.0, 1.0), 1.0, 2.0, on, beyond, least=0.05)
+    assert list(jumps_of([step], steady, 1e-3)) == [(0, 1.0, 2.0)]
+
+
+def test_a_motion_that_is_carried_away_from_both_is_lost():
+    """Beyond 1.7 long steps lead from motion 1 to 2, short ones to 0: as far from it, to the other side."""
+    toy = Branches(*[(-np.inf, np.inf)] * 3, slope=0.0)
+
+    def lands(branch: float, last: float, frequency: float) -> float:
+        lost = branch == 1 and frequency > 1.7
+        return (0 if frequency - last <= 0.1 else 2) if lost else branch
+
+    steady, carried = stepping(toy, lands)
+    (on,), (beyond,) = carried(1, 1.0, [1.0]), carried(2, 2.0, [2.0])
+    step = Stretch(oscillator(2.0, 1.0), 1.0, 2.0, on, beyond, least=0.05)
+    assert list(jumps_of([step], steady, 1 / 16)) == [(0, 1.6875, 1.75)]
+
+
+def test_steps_of_a_sweep_are_judged_alike_both_ways_and_beside_points_that_failed():
+    toy, frequencies = two_branches(-np.inf, np.inf, slope=1.0), np.linspace(2.0, 2.5, 6)
+    orbits = toy.along(toy.orbit(0, 2.0).end, frequencies)
+    model = oscillator(2.0, 1.0)
+    there, back = steps_of(model, frequencies, orbits), steps_of(model, frequencies[::-1], orbits[::-1])
+    assert [step.least for step in there] == [step.least for step in back][::-1]
+    orbits[-1] = without_orbit(model, "it broke")
+    assert [step.even for step in steps_of(model, frequencies, orbits)] == [True] * 4
+    assert [step.even for step in steps_of(model, frequencies[::-1], orbits[::-1])] == [True] * 4
+
+
+def test_the_first_of_two_jumps_behind_a_long_step_is_that_of_its_motion():
+    """Both lie within a quarter of a step of the sweep, in which the motion is followed."""
+    toy = Branches((-np.inf, 1.52), (1.5, 1.5225), (1.23, np.inf))
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    early = [toy.orbit(2.0 * (f > 1.36), f) for f in sweeps.frequency]
+    sweeps = replace(sweeps, orbits=(early, sweeps.orbits[DOWN]))
+    (lost,) = [loss for loss in losses(search, sweeps) if loss.direction == UP]
+    assert (lost.jump.near, lost.jump.far) == pytest.approx((1.52, 1.52), abs=2e-6)
+
+
+def test_a_motion_that_a_sweep_has_lost_is_followed_up_a_slope():
+    """There it is nearer to the one beyond the jump than to what it was at the jump, yet always itself."""
+    toy = two_branches(1.23, 1.82, slope=1.5)
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    early = [toy.orbit(float(f > 1.36), f) for f in sweeps.frequency]
+    sweeps = replace(sweeps, orbits=(early, sweeps.orbits[DOWN]))
+    (lost,) = [loss for loss in losses(search, sweeps) if loss.direction == UP]
+    assert (lost.jump.near, lost.jump.far) == pytest.approx((1.82, 1.82), abs=2e-6)
+
+
+@pytest.mark.parametrize("shape", [{}, {"rise": 0.05, "slope": 8.0}])
+def test_the_motions_at_both_sides_of_a_jump_are_those_at_its_ends(shape: dict[str, float]):
+    """Also of one that is small beside the slope of the step."""
+    toy = two_branches(1.43, 1.62, **shape)
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    lost = list(losses(search, sweeps))
+    assert len(lost) == 2
+    for loss in lost:
+        before, after = (0, 1) if loss.direction == UP else (1, 0)
+        for orbit, frequency, number in (
+            (loss.jump.on, loss.jump.near, before),
+            (loss.jump.beyond, loss.jump.far, after),
+        ):
+            np.testing.assert_array_equal(orbit.amplitude, toy.orbit(number, frequency).amplitude)
+
+
+def test_a_motion_loses_its_period_no_later_than_where_it_cannot_be_computed():
+    """Whether it repeats in between is not known: the range ends at the last place where it does."""
+    toy = two_branches(1.23, 1.52)
+    toy.irregular = (1.463, 1.8)
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    known = search.steady
+
+    def steady(chains: Sequence[Chain]) -> list[list[Orbit]]:
+        found = zip(chains, known(chains), strict=True)
+        return [[fails(orbit, f) for orbit, f in zip(own, chain.frequencies, strict=True)] for chain, own in found]
+
+    def fails(orbit: Orbit, frequency: float) -> Orbit:
+        on_it = orbit.end.displacement[0] == 1
+        return replace(orbit, reason="it broke") if on_it and 1.458 < frequency < 1.463 else orbit
+
+    search = replace(search, steady=steady)
+    (found,) = ranges(search, sweeps, list(losses(search, sweeps)))
+    assert (found.low, found.high) == pytest.approx((1.23, 1.458), abs=2e-6)
+
+
+@pytest.mark.parametrize(("high", "num"), [(1.445, 0), (1.46, 1)])
+def test_a_range_has_to_be_wider_than_both_of_its_ends_are_known_to(high: float, num: int):
+    toy = two_branches(1.43, high)
+    search, sweeps = replace(toy_search(toy), width=0.01), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    lost = list(losses(search, sweeps))
+    assert [loss.direction for loss in lost].count(UP) == [loss.direction for loss in lost].count(DOWN) == 1
+    assert abs(lost[0].jump.near - lost[1].jump.near) > search.width
+    assert len(list(ranges(search, sweeps, lost))) == num
+
+
+def test_between_two_ranges_there_is_one_motion():
+    toy = Branches((-np.inf, 1.2), (1.1, 1.6), (1.5, np.inf))
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    found = [(one.low, one.high) for one in ranges(search, sweeps, list(losses(search, sweeps)))]
+    np.testing.assert_allclose(found, [(1.1, 1.2), (1.5, 1.6)], atol=1e-6)
+
+
+def test_where_a_motion_loses_its_period_there_is_no_jump():
+    toy = two_branches(1.23, 1.52)
+    toy.irregular = (1.463, 1.8)
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    columns = columns_of([sweeps.orbits[UP], sweeps.orbits[DOWN][::-1]])
+    found = ranges_of(search, columns | {"frequency": np.array([sweeps.frequency, sweeps.frequency[::-1]])})
+    np.testing.assert_allclose(found["jumps"], [[UP, 1.52, 1.52], [DOWN, 1.23, 1.23]], atol=2e-6)
+    np.testing.assert_allclose(found["range"], [[1.23, 1.463]], atol=2e-6)
+
+
+def test_the_loss_of_period_of_a_motion_that_is_followed_back_is_bisected_from_beside_it():
+    """Steps down of more than 0.02 lose motion 1, which has no period below 1.43; motion 0 has none from 1.02 on."""
+    toy, frequencies = Branches((-np.inf, 1.5), (1.3, 1.8), (1.1, np.inf)), np.linspace(1.0, 2.0, 21)
+    known, _ = stepping(toy, lambda branch, last, f: 2 if branch == 1 and last - f > 0.02 else branch)
+
+    def at(orbit: Orbit, frequency: float) -> Orbit:
+        number = orbit.end.displacement[0]
+        irregular = (number == 0 and frequency > 1.02) or (number == 1 and frequency < 1.43)
+        end = replace(orbit.end, displacement=np.array([number, frequency]))
+        return replace(orbit, end=end, irregular=irregular, period=int(not irregular))
+
+    def steady(chains: Sequence[Chain]) -> list[list[Orbit]]:
+        found = zip(chains, known(chains), strict=True)
+        return [[at(*one) for one in zip(own, chain.frequencies, strict=True)] for chain, own in found]
+
+    up, down = ([at(*one) for one in zip(own, frequencies, strict=True)] for own in toy_sweeps(toy, frequencies).orbits)
+    search, sweeps = replace(toy_search(toy), steady=steady), Sweeps(frequencies, (up, down))
+    found = list(ranges(search, sweeps, list(losses(search, sweeps))))[-1]
+    assert (found.low, found.high) == pytest.approx((1.43, 1.8), abs=1e-6)
+
+
 # Starts
 
 
@@ -932,6 +1116,28 @@ def test_where_a_start_has_led():
     assert branch_of(replace(motions[0], period=0), motions) == NONE
     assert branch_of(replace(motions[0], period=0, irregular=True), motions) == IRREGULAR
     assert branch_of(replace(motions[0], amplitude=3 * motions[0].amplitude), motions) == ANOTHER
+
+
+def test_starts_are_led_on_at_the_middle_of_a_range_and_show_the_offsets_of_each_motion():
+    """Of all starts that lead to it, and of the motion itself, whose contact sticks at 0 here."""
+    toy = two_branches(1.43, 1.62)
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    columns = columns_of([sweeps.orbits[UP], sweeps.orbits[DOWN][::-1]])
+    found = ranges_of(search, columns | {"frequency": np.array([sweeps.frequency, sweeps.frequency[::-1]])})
+    visited: list[tuple[float, ...]] = []
+
+    def steady(chains: Sequence[Chain]) -> list[list[Orbit]]:
+        """To the smaller motion with the first offsets, to the larger one with others."""
+        visited.extend(chain.frequencies for chain in chains)
+        led = [(toy.orbit(k >= 12, 1.525), 0.01 * (k + 1) * np.array([[1.0, -1.0]])) for k in range(len(chains))]
+        return [[replace(orbit, end=replace(orbit.end, slip=slip))] for orbit, slip in led]
+
+    data = explore(search.model, steady, found, 5)
+    assert {len(own) for own in visited} == {1}
+    np.testing.assert_allclose(np.ravel(visited), found["range"].mean(), rtol=1e-12)
+    assert data["start_branch"].ravel().tolist() == [0] * 12 + [1] * 13
+    np.testing.assert_allclose(data["offset_low"][0], [[[0.0, -0.12]], [[0.0, -0.25]]])
+    np.testing.assert_allclose(data["offset_high"][0], [[[0.12, 0.0]], [[0.25, 0.0]]])
 
 
 # Longer
