@@ -230,6 +230,48 @@ def test_harmonics_are_added_one_scheme_after_the_other(model, monkeypatch):
     assert places == [1, 2, 3]
 
 
+def with_tail_up_to(order, size, monkeypatch):
+    """Solutions whose harmonics add much up to an order, and nothing above it."""
+    monkeypatch.setattr(adaptive, "tail", lambda own, x, frequency: np.where(np.arange(65) < order, size, 0.0))
+
+
+def test_a_scheme_is_kept_where_a_coarser_one_would_leave_out_too_much(model, monkeypatch):
+    """Not left because it leaves out nothing itself."""
+    balance, places = AdaptiveBalance(lambda own: Balance(model, 1.6, own), SCHEMES, 1), []
+    with_tail_up_to(7, 0.1, monkeypatch)
+    for _ in range(4):
+        balance.adapt(balance.whole(np.zeros(balance.residual.num_unknowns), balance.place), 1.6)
+        places.append(balance.place)
+    assert places == [1, 1, 1, 1]
+
+
+def test_no_curve_is_to_begin_where_harmonics_above_its_own_add_much(model, monkeypatch):
+    """Whatever is above those of the finest scheme."""
+    balance = AdaptiveBalance(lambda own: Balance(model, 1.6, own), SCHEMES, 1)
+    with_tail_up_to(7, 0.1, monkeypatch)
+    for demanding, place, refused in ((True, 0, True), (True, 1, False), (False, 0, False)):
+        balance.demanding, balance.refused, balance.place = demanding, False, place
+        assert balance.refuses(np.zeros(np.prod(balance.shape)), 1.6) == refused
+
+
+def test_the_largest_displacement_is_that_of_all_points_and_harmonics():
+    """Of a structure that sticks and is driven at twice the frequency, with a point that moves the most."""
+    model = systems.oscillator(64.0, 0.7)
+    shape = np.concatenate([model.structure.shape * times for times in (1, 3)])
+    body = replace(model.structure, points=("tip", "top"), shape=shape)
+    model = replace(model, structure=body, excitation=replace(model.excitation, harmonic=np.array([2])))
+    pad, root, turn = model.contacts[0], model.contact_shape[0], 4 * np.pi * 0.7
+    spring = root[:2].T @ pad.tangential_stiffness @ root[:2] + pad.normal_stiffness * np.outer(root[2], root[2])
+    modes = np.linalg.solve(
+        np.diag(body.omega**2 - turn**2 + 1j * turn * body.damping) + spring, model.excitation.cosine[0]
+    )
+    balance = AdaptiveBalance(lambda own: Balance(model, 0.7, own), [Scheme(3, 64)], 1)
+    _, guess = next(first_guess.first_guesses(balance.residual, 0.7, Controls()))
+    forces, largest = balance.driven(guess, 0.7)
+    assert forces.shape == (3, 2)
+    assert largest == pytest.approx(np.abs(shape @ modes).max(), rel=1e-9)
+
+
 def test_a_finer_scheme_is_the_least_until_it_is_given_back(model, monkeypatch):
     balance = AdaptiveBalance(lambda own: Balance(model, 1.6, own), SCHEMES, 1)
     monkeypatch.setattr(adaptive, "tail", lambda own, x, frequency: np.zeros(65))

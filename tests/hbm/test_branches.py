@@ -1,17 +1,19 @@
 """Which of the curves from both ends of a range are told, and how they end."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from systems import oscillator
 
 from timesim.hbm import branches, first_guess
+from timesim.hbm.adaptive import AdaptiveBalance
 from timesim.hbm.balance import Balance
 from timesim.hbm.branches import SettledMotion, curves_from_ends, isolated_curves, passes, warm_up
 from timesim.hbm.continuation import Controls, Curve, Ending, crossings
 from timesim.hbm.curve import HbmCurve
-from timesim.hbm.first_guess import first_guesses
+from timesim.hbm.first_guess import curve_near, first_guesses
 from timesim.hbm.scheme import Scheme
 
 LOW, HIGH = 1.0, 2.0
@@ -168,3 +170,101 @@ def test_an_interrupt_while_the_load_grows_is_not_lost(monkeypatch):
     monkeypatch.setattr(first_guess, "_settled", lambda *_: pytest.fail("a march has begun"))
     with pytest.raises(KeyboardInterrupt):
         list(first_guesses(Balance(oscillator(-1.0, 0.97), 0.97, Scheme(3, 64)), 0.97, Controls()))
+
+
+# Guesses of a first solution
+
+
+def residual_of(balance, x, frequency):
+    """The largest residual of a guess, relative to the largest entry of the guess."""
+    return np.abs(balance.value(x, frequency)).max() / np.abs(x).max()
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_the_linear_guess_of_a_structure_that_sticks_is_its_solution(whole):
+    """Also where damping is a matrix, and the balance supports the structure at its contacts."""
+    model = oscillator(64.0, 1.3)
+    if whole:
+        model = replace(model, structure=replace(model.structure, damping=np.diag(model.structure.damping)))
+    balance = Balance(model, 1.3, Scheme(3, 64))
+    way, guess = next(first_guesses(balance, 1.3, Controls()))
+    assert way == "the linear response with contacts stuck where they are closed at rest"
+    assert residual_of(balance, guess, 1.3) < 1e-10
+
+
+def test_unknowns_of_modes_are_the_motion_of_the_contacts():
+    balance = Balance(oscillator(3.0, 1.39), 1.39, Scheme(3, 64))
+    modal = np.random.default_rng(1).normal(size=(9, 2))
+    x = first_guess.unknowns_of_modes(balance, modal).reshape(3, 7) * balance.length
+    np.testing.assert_allclose(x, balance.model.contact_shape[0] @ modal[:7].T, rtol=1e-12)
+
+
+@pytest.mark.long
+def test_the_last_guess_is_the_settled_motion_by_all_harmonics(monkeypatch):
+    """Of a balance by many of them it is nearly a solution."""
+    monkeypatch.setattr(first_guess, "follow", lambda *_, **__: Curve.of([], 21, Ending.STEP, "", 0))
+    coarse, fine = (Balance(oscillator(3.0, 1.39), 1.39, Scheme(own, 256)) for own in (3, 15))
+    *_, (ramp, none), (way, guess) = first_guesses(coarse, 1.39, Controls(), fine)
+    assert ramp.endswith("0% of the way")
+    assert none is None
+    assert way == "time integration, which settles"
+    assert guess.size == fine.num_unknowns
+    assert residual_of(fine, guess, 1.39) < 1e-3
+
+
+def test_a_motion_whose_body_moves_on_is_no_guess(monkeypatch):
+    orbit = SimpleNamespace(reason=None, drift=np.array([[0.1, 0.0, 0.0]]), settled=True, period=1)
+    monkeypatch.setattr(first_guess, "steady_states", lambda *_: [[orbit]])
+    monkeypatch.setattr(first_guess, "modal_coefficients", lambda *_: pytest.fail("its cycle does not repeat"))
+    way, guess = first_guess._settled(Balance(oscillator(3.0, 1.39), 1.39, Scheme(3, 64)), 1.39)
+    assert guess is None
+    assert "drifts" in way
+
+
+def test_a_load_that_grows_begins_without_motion_and_ends_as_the_balance():
+    balance = Balance(oscillator(3.0, 1.39), 1.39, Scheme(3, 64))
+    ramp, x = first_guess._Ramp(balance, 1.39), 0.01 * np.random.default_rng(1).normal(size=balance.num_unknowns)
+    np.testing.assert_allclose(ramp.value(np.zeros_like(x), 0.0), 0.0, atol=1e-12)
+    np.testing.assert_allclose(ramp.value(x, 1.0), balance.value(x, 1.39), rtol=1e-12, atol=1e-14)
+    r, _, by_p = ramp.linearised(x, 0.4)
+    np.testing.assert_allclose(r, ramp.value(x, 0.4), rtol=1e-9, atol=1e-12)
+    slope = (ramp.value(x, 0.401) - ramp.value(x, 0.399)) / 2e-3
+    np.testing.assert_allclose(by_p, slope, rtol=0, atol=1e-3 * np.abs(slope).max())
+
+
+def ended(ending, count, place=1.6):
+    """A curve of so many solutions from one place on."""
+    rows = [(np.zeros(21), place + 1e-3 * i, False, 1) for i in range(count)]
+    return Curve.of(rows, 21, ending, ending.name)
+
+
+@pytest.mark.parametrize(
+    ("curves", "chosen"),
+    [
+        ((ended(Ending.STEP, 2), ended(Ending.COMPLETE, 5)), 1),
+        ((ended(Ending.STEP, 3), ended(Ending.COMPLETE, 5)), 0),
+        ((ended(Ending.START, 0), ended(Ending.LEFT, 1)), 1),
+        ((ended(Ending.STEP, 1, 1.6), ended(Ending.STEP, 2, 1.7)), 0),
+        ((ended(Ending.START, 0), ended(Ending.STEP, 1)), 1),
+    ],
+)
+def test_a_curve_begins_at_the_first_guess_from_which_it_goes_on(curves, chosen, monkeypatch):
+    """By more than two solutions; else at the first that is a solution."""
+    adaptive = AdaptiveBalance(lambda own: Balance(oscillator(3.0, 1.6), 1.6, own), [Scheme(3, 64)], 1)
+    guesses = [np.full(21, float(i)) for i in range(len(curves))]
+    monkeypatch.setattr(first_guess, "first_guesses", lambda *_: iter([("a guess", own) for own in guesses]))
+    found = curve_near(adaptive, 1.6, 1.6, Controls(), None, lambda guess: curves[int(guess[0])])
+    assert found.p.tolist() == curves[chosen].p.tolist()
+
+
+def test_the_first_of_the_guesses_that_are_refused_is_the_last_resort(monkeypatch):
+    """Where none is a solution that lacks little."""
+    adaptive = AdaptiveBalance(lambda own: Balance(oscillator(3.0, 1.6), 1.6, own), [Scheme(3, 64)], 1)
+    guesses = [np.full(21, float(i)) for i in range(3)]
+    monkeypatch.setattr(first_guess, "first_guesses", lambda *_: iter([("a guess", own) for own in guesses]))
+
+    def followed(guess):
+        adaptive.refused = adaptive.demanding
+        return ended(Ending.START, 0) if adaptive.demanding else ended(Ending.COMPLETE, 4, 1 + guess[0])
+
+    assert curve_near(adaptive, 1.6, 1.6, Controls(), None, followed).p[0] == 1.0

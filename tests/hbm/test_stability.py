@@ -1,6 +1,7 @@
 """Floquet multipliers of solutions by harmonic balance, against closed forms and the return map of time integration."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from timesim.hbm.continuation import Controls, Ending, solve
 from timesim.hbm.curve import hbm_curve
 from timesim.hbm.scheme import Scheme
 from timesim.hbm.stability import floquet_multipliers, multipliers
+from timesim.hbm.stability.offset import sign_with_offsets_kept
 from timesim.model.held import springs
 from timesim.model.model import GROUND, Contact, Model
 from timesim.model.solver import PRESETS, Criterion
@@ -233,6 +235,20 @@ def test_a_free_offset_turns_the_curve_and_is_not_what_makes_it_unstable(
     clear = ~curve.fold & (np.abs(largest - 1) > 0.01)
     np.testing.assert_array_equal(curve.stable[clear], largest[clear] < 1)
     assert np.count_nonzero(clear) > 0.6 * f.size
+
+
+@pytest.mark.parametrize(("diagonal", "offset", "sign"), [((2, -3), True, -1), ((2, 3), True, 1), ((2, 3), False, -1)])
+def test_the_sign_with_offsets_kept_is_that_of_their_own_derivative(diagonal, offset, sign):
+    """Of a solution without an offset it is the one given, and of a fold 0 either way."""
+    by_x = SimpleNamespace(sign=1, matrix=np.diag(np.array(diagonal, dtype=float)))
+    kept = []
+    balance = SimpleNamespace(
+        has_offset=lambda x: offset,
+        linearised=lambda x, frequency, keep_offsets: kept.append(keep_offsets) or (None, by_x, None),
+    )
+    assert sign_with_offsets_kept(balance, np.zeros(2), 1.0, -1) == sign
+    assert sign_with_offsets_kept(balance, np.zeros(2), 1.0, 0) == 0
+    assert kept == [True] * offset
 
 
 @pytest.mark.parametrize(

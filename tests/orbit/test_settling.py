@@ -17,6 +17,7 @@ from timesim.orbit.recurrence import Recurrence, is_irregular, nearest_period, r
 from timesim.orbit.search import Search, Task, after_march, after_measure, after_shot
 from timesim.orbit.settling import Chain, first_lane, steady_states, warm_up
 from timesim.orbit.shooting import Converged, Failure, Shot
+from timesim.orbit.steady_state import without_orbit
 from timesim.orbit.threshold import CYCLES_A_ROUND, LONGEST
 
 HELD = np.zeros((0, 2))  # no body moves without an effect
@@ -130,6 +131,8 @@ def test_a_motion_that_has_not_settled_is_recognised(orbits):
     assert orbit.period == 0
     assert np.all(orbit.amplitude > 0)
     assert np.isnan(orbit.phasor).all()
+    assert orbit.cycles == CYCLES_A_ROUND + 10  # of which its amplitude is taken, and the band of that of each
+    assert np.all(orbit.band[1] > orbit.band[0] * (1 + 1e-4))
     assert orbit.dissipated_power == pytest.approx(orbits[0].dissipated_power, rel=0.2)  # the mean of ten cycles
 
 
@@ -139,6 +142,24 @@ def test_a_march_that_fails_says_why():
     assert orbit.reason is not None
     assert "budget of 30 steps" in orbit.reason
     assert np.all(np.isnan(orbit.amplitude))
+
+
+@pytest.mark.long
+def test_a_chain_begins_anew_after_a_motion_that_fails(monkeypatch):
+    """As if the failed frequency had not been in it."""
+
+    def fails(search, lane, returns, solver, criterion):
+        if lane.frequency == 1.38:
+            return replace(search, task=Task.DONE, orbit=without_orbit(lane.model, "it broke", 3))
+        return after_march(search, lane, returns, solver, criterion)
+
+    monkeypatch.setattr("timesim.orbit.settling.after_march", fails)
+    model = oscillator(3.0, 1.39)
+    chains = [Chain(model, (1.38, 1.39)), Chain(model, (1.39,))]
+    (failed, anew), (alone,) = steady_states(chains, PRESETS["standard"], Criterion())
+    assert failed.reason == "it broke"
+    assert (anew.reason, anew.cycles) == (None, alone.cycles)
+    np.testing.assert_allclose(anew.amplitude, alone.amplitude, rtol=1e-12)
 
 
 def test_periods_of_sequences():

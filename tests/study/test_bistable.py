@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ import timesim
 from timesim.cli import app
 from timesim.model.contact_state import contact_loads
 from timesim.model.model import SEPARATION, STICK, Model, Start
+from timesim.model.solver import NEVER, PRESETS, SHOOT, Criterion, Solver
 from timesim.orbit.fourier import HARMONICS
 from timesim.orbit.jump import Stretch, jumps_of, narrowed, steps_of
 from timesim.orbit.settling import Chain, SteadyStates
@@ -1138,6 +1140,40 @@ def test_starts_are_led_on_at_the_middle_of_a_range_and_show_the_offsets_of_each
     assert data["start_branch"].ravel().tolist() == [0] * 12 + [1] * 13
     np.testing.assert_allclose(data["offset_low"][0], [[[0.0, -0.12]], [[0.0, -0.25]]])
     np.testing.assert_allclose(data["offset_high"][0], [[[0.12, 0.0]], [[0.25, 0.0]]])
+
+
+def test_both_sweeps_are_carried_on_from_part_to_part(monkeypatch: pytest.MonkeyPatch):
+    """The one up, the other down, as if each was one; then their jumps are sought, and the starts are only marched."""
+    toy, frequency = two_branches(1.43, 1.62), np.linspace(1.0, 2.0, 2 * bistable.STEPS_A_CHUNK + 5)
+    shot: list[float] = []
+
+    def steady_of(chains: Sequence[Chain], solver: Solver, criterion: Criterion) -> list[list[Orbit]]:
+        shot.append(criterion.first_shot)
+        return [toy.along(chain.model.start, chain.frequencies) for chain in chains]
+
+    monkeypatch.setattr(bistable, "steady_of", steady_of)
+    model = replace(oscillator(2.0, 1.0), start=toy.orbit(0, 1.0).end)
+    grid: Any = SimpleNamespace(frequency=frequency, models={0: model})
+    criterion = Criterion(1e-6, 500, SHOOT)
+    plan: Any = SimpleNamespace(sweep=SimpleNamespace(criterion=criterion), width=1e-6, starts=5)
+    results: dict[str, Any] = {}
+    every = bistable.chunks(grid, plan, PRESETS["draft"])
+    for chunk in every:
+        shot.clear()
+        results[chunk.name] = bistable.work(chunk.payload, results.get(chunk.after) if chunk.after else None)
+        assert set(shot) == {NEVER if chunk.name.endswith("starts") else SHOOT}
+    *parts, ends, starts = every
+    assert [part.name for part in parts] == [f"00000-sweep-{i:05d}" for i in range(3)]
+    assert sum(part.size for part in parts) == 2 * frequency.size
+    both = results[parts[-1].name]
+    np.testing.assert_array_equal(both["frequency"], [frequency, frequency[::-1]])
+    # The sweep down begins on the motion that there is at the highest frequency.
+    up, down = toy_sweeps(toy, frequency).orbits
+    for own, orbits in zip(both["amplitude"], (up, down[::-1]), strict=True):
+        np.testing.assert_array_equal(own, [orbit.amplitude for orbit in orbits])
+    np.testing.assert_allclose(results[ends.name]["range"], [[1.43, 1.62]], atol=1e-6)
+    assert starts.size == results[starts.name]["start_branch"].size == 25
+    np.testing.assert_array_equal(results[starts.name]["range"], results[ends.name]["range"])
 
 
 # Longer
