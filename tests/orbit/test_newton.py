@@ -312,3 +312,17 @@ def test_a_derivative_that_overflows_ends_the_iteration_and_nothing_else(value):
     assert iterated(Shot(start), recorded, TOLERANCE) is Failure.ASTRAY
     assert np.isnan(recorded.multipliers).all()
     assert recorded.left == 0
+
+
+def test_a_contact_that_sticks_holds_a_body_that_nothing_else_does():
+    """The first entry is the place of the body, the last one that of the contact, which would have to move with it."""
+    start = near(0.0, 0.0)
+    start.vector, start.shifts = np.zeros(3), np.array([[1.0, 0.0, 1.0]]) / np.sqrt(2)
+    for row, held in (([0.2, 0.0, 0.0], False), ([0.0, 0.0, 1.0], True)):
+        slope = np.array([[0.9, 0.1, 0.1], [0.0, 0.3, 0.0], row])
+        recorded = Recorded(start, at(np.zeros(3)), 1, True, SWING, slope, NOTHING)
+        assert recorded.multipliers.size == 2
+        if held:
+            np.testing.assert_allclose(recorded.multipliers, [0.9, 0.3])
+        step = recorded.newton_step(np.array([0.1, 0.2, 0.0]))
+        assert (step @ start.shifts[0] == pytest.approx(0.0, abs=1e-12)) != held

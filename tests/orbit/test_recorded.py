@@ -119,3 +119,11 @@ def test_a_free_body_may_be_moved_along_its_contacts_and_alters_no_force(frame, 
         assert after.displacement[1] == pytest.approx(before.displacement[1])
         stretch = [model.contact_shape[0, :2] @ one.displacement - one.slip[0] for one in (before, after)]
         np.testing.assert_allclose(stretch[1], stretch[0], rtol=1e-9)
+
+
+def test_a_contact_of_another_law_holds_a_body_along_its_surface_too():
+    """The cone alone has places where it sticks, which move with the body."""
+    lane = first_lane(Chain(sled(), (1.0,)), FINE)
+    assert len(lane.shifts) == 1
+    other = replace(lane.model.contacts[0], law="another")
+    assert len(replace(lane, model=replace(lane.model, contacts=(other,))).shifts) == 0

@@ -56,10 +56,11 @@ from timesim.result.netcdf import open_result, save
 from timesim.scene.resolution import Scene
 from timesim.study import bistable, hbm
 from timesim.study import registry as plot
-from timesim.study.execution.campaign import Execution
+from timesim.study.execution.campaign import Chunk, Execution
 from timesim.study.outcome import Outcome
 from timesim.study.registry import carry_out, load_scene
 from timesim.study.summary.bistable import bistable_lines, fold_lines
+from timesim.study.sweep import FAILURES
 
 pytestmark = pytest.mark.long
 
@@ -335,6 +336,34 @@ def test_a_start_that_fails_is_not_one_that_did_not_settle(
     failure, branch = data["start_failure"].values[0], data["start_branch"].values[0]
     assert (failure[1, 1], failure[1, 2], np.sum(failure != "")) == (why, "", 1)
     assert branch[1, 1] == branch[1, 2] == NONE
+
+
+def test_what_could_not_be_computed_makes_the_study_incomplete_and_the_first_of_it_is_named(
+    searched: Searched, monkeypatch: pytest.MonkeyPatch
+):
+    """A point of the sweeps, before a motion of the search, before a start; seconds of earlier sessions count."""
+    sweep, starts = (searched.chunks[f"00000-{name}"] for name in ("sweep-00000", "starts"))
+    why = starts["start_failure"].astype(object)
+    why[0, 2, 2] = "no start"
+    reason = sweep["reason"].astype(object)
+    reason[DOWN, 1] = "no point"
+    fails = [
+        {"00000-starts": starts | {"start_failure": why}},
+        {"00000-starts": starts | {"start_failure": why, FAILURES: np.array(["no way"])}},
+    ]
+    fails += [fails[1] | {"00000-sweep-00000": sweep | {"reason": reason}}]
+    monkeypatch.setattr(Execution, "earlier", lambda *_: 1000.0)
+    said = []
+    for changed in fails:
+        chunks = searched.chunks | changed
+        monkeypatch.setattr(bistable, "carry_through", lambda *_, chunks=chunks, **__: (chunks, None))
+        outcome = carry_out(searched.scene)
+        assert outcome.groups[""].attrs["complete"] == 0
+        assert 1000 < outcome.groups[""].attrs["run_seconds"] < 1100
+        said.append(outcome.reason)
+    assert said[0] == "the motion from 1 start could not be computed: no start"
+    assert said[1] == "the search for jumps is not exact, as 1 motion of it could not be computed: no way"
+    assert "no point" in said[2]
 
 
 def test_a_balance_that_comes_to_no_end_leaves_the_study_whole(monkeypatch: pytest.MonkeyPatch):
@@ -1157,23 +1186,27 @@ def test_both_sweeps_are_carried_on_from_part_to_part(monkeypatch: pytest.Monkey
     criterion = Criterion(1e-6, 500, SHOOT)
     plan: Any = SimpleNamespace(sweep=SimpleNamespace(criterion=criterion), width=1e-6, starts=5)
     results: dict[str, Any] = {}
-    every = bistable.chunks(grid, plan, PRESETS["draft"])
-    for chunk in every:
-        shot.clear()
-        results[chunk.name] = bistable.work(chunk.payload, results.get(chunk.after) if chunk.after else None)
-        assert set(shot) == {NEVER if chunk.name.endswith("starts") else SHOOT}
-    *parts, ends, starts = every
+    *parts, ends, starts = bistable.chunks(grid, plan, PRESETS["draft"])
     assert [part.name for part in parts] == [f"00000-sweep-{i:05d}" for i in range(3)]
     assert sum(part.size for part in parts) == 2 * frequency.size
-    both = results[parts[-1].name]
+
+    def work(chunk: Chunk) -> Any:
+        shot.clear()
+        results[chunk.name] = bistable.work(chunk.payload, results.get(chunk.after) if chunk.after else None)
+        return results[chunk.name]
+
+    *_, both = (work(part) for part in parts)
     np.testing.assert_array_equal(both["frequency"], [frequency, frequency[::-1]])
-    # The sweep down begins on the motion that there is at the highest frequency.
     up, down = toy_sweeps(toy, frequency).orbits
     for own, orbits in zip(both["amplitude"], (up, down[::-1]), strict=True):
         np.testing.assert_array_equal(own, [orbit.amplitude for orbit in orbits])
-    np.testing.assert_allclose(results[ends.name]["range"], [[1.43, 1.62]], atol=1e-6)
-    assert starts.size == results[starts.name]["start_branch"].size == 25
-    np.testing.assert_array_equal(results[starts.name]["range"], results[ends.name]["range"])
+    found = work(ends)["range"]
+    assert set(shot) == {SHOOT}
+    np.testing.assert_allclose(found, [[1.43, 1.62]], atol=1e-6)
+    data = work(starts)
+    assert set(shot) == {NEVER}
+    assert starts.size == data["start_branch"].size == 25
+    np.testing.assert_array_equal(data["range"], found)
 
 
 # Longer
