@@ -371,6 +371,15 @@ def test_a_proof_that_no_contact_moves_needs_a_round_without_a_transition(cycles
     assert counts == ([0] * 5 if not asked else [1, 1, 1, 1, 2])  # after 16 and 48 cycles
 
 
+def test_a_motion_that_is_proven_took_the_cycles_that_led_to_it(monkeypatch):
+    known = replace(without_orbit(oscillator(3.0, 1.39), "", 0), reason=None, period=1)
+    monkeypatch.setattr("timesim.orbit.search.proven_orbit", lambda lane, solver: known)
+    lane = SimpleNamespace(status=Status.RUNNING, quiet=100.0, shifts=HELD)
+    before = Search(0, 0, lane, returns=tuple(DRIFT[:CYCLES_A_ROUND]), cycles=CYCLES_A_ROUND)
+    after = after_march(before, lane, DRIFT[CYCLES_A_ROUND:], PRESETS["standard"], Criterion())
+    assert (after.task, after.orbit.cycles) == (Task.DONE, 2 * CYCLES_A_ROUND)
+
+
 def test_what_nearly_repeats_after_several_cycles_is_shot_over_these_every_other_time():
     """A free vibration that decays may seem to."""
     turns = DRIFT + 0.1 * (np.arange(2 * CYCLES_A_ROUND) % 3)[:, None]

@@ -338,6 +338,17 @@ def test_a_start_that_fails_is_not_one_that_did_not_settle(
     assert branch[1, 1] == branch[1, 2] == NONE
 
 
+def test_each_sweep_is_labelled_by_its_direction_and_ascends(searched: Searched, monkeypatch: pytest.MonkeyPatch):
+    sweep = searched.chunks["00000-sweep-00000"]
+    amplitude = sweep["amplitude"] * np.array([1.0, 2.0]).reshape(2, 1, 1, 1)
+    changed = searched.chunks | {"00000-sweep-00000": sweep | {"amplitude": amplitude}}
+    monkeypatch.setattr(bistable, "carry_through", lambda *_, **__: (changed, None))
+    data = carry_out(searched.scene).groups["sweep"]["amplitude"].transpose("direction", "frequency", "point", "axis")
+    assert (np.diff(data["frequency"]) > 0).all()
+    np.testing.assert_allclose(data.sel(direction="up"), amplitude[UP])
+    np.testing.assert_allclose(data.sel(direction="down"), amplitude[DOWN][::-1])
+
+
 def test_what_could_not_be_computed_makes_the_study_incomplete_and_the_first_of_it_is_named(
     searched: Searched, monkeypatch: pytest.MonkeyPatch
 ):
@@ -1138,6 +1149,25 @@ def test_offsets_of_a_contact_that_sticks():
         low, high = offsets([replace(orbit, **works) for orbit in orbits])
         assert np.isnan([low, high]).all()
         assert unique(low, high, 1.0).all()
+
+
+def test_offsets_are_those_of_the_motions_in_which_the_contact_sticks():
+    base = two_branches(1.0, 2.0).orbit(0, 1.5)
+    orbits = [replace(base, end=replace(base.end, slip=np.array([[w, -w]]))) for w in (0.1, 0.3, -0.2)]
+    orbits[1] = replace(orbits[1], slip_share=np.array([0.01]))
+    np.testing.assert_allclose(offsets(orbits), [[[-0.2, -0.1]], [[0.1, 0.2]]])
+
+
+@pytest.mark.parametrize("works", ["slip_share", "separation_share"])
+def test_a_contact_that_works_in_a_motion_is_not_pulled_aside(works: str):
+    """Its slip is that of the motions, as far as its cone allows."""
+    model = oscillator(64.0, 1.25)
+    base = two_branches(1.0, 2.0).orbit(0, 1.5)
+    ends = [replace(base.end, displacement=np.zeros(2), slip=np.array([[w, -w]])) for w in (0.01, 0.02)]
+    motions = [replace(base, end=end, **{works: np.array([0.2])}) for end in ends]
+    slips = [start.slip for start in starts_between(model, motions, 5)]
+    sides = (-0.5, 0.0, 0.5, 1.0, 1.5)
+    np.testing.assert_allclose(slips, [a * ends[0].slip + b * ends[1].slip for a in sides for b in sides], atol=1e-15)
 
 
 def test_where_a_start_has_led():
