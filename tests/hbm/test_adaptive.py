@@ -122,6 +122,23 @@ def test_what_harmonics_change_below_them_is_known(preload, frequency, order):
     assert above.below(balance, x, beside(balance, x, frequency)) == pytest.approx(expected, rel=0.1)
 
 
+def test_what_harmonics_change_below_them_does_not_depend_on_the_masses_of_the_modes():
+    model, few, mass = lightly_damped(3.0, 1.39), Scheme(3, 256), np.array([4.0, 0.3])
+    body, load, root = model.structure, model.excitation, np.sqrt(mass)
+    heavy = replace(
+        model,
+        structure=replace(body, mass=mass, damping=body.damping * mass, shape=body.shape * root),
+        excitation=replace(load, cosine=load.cosine * root, sine=load.sine * root),
+    )
+    motion = hbm_curve(model, 1.39, 1.001 * 1.39, scheme=few, stability=False).contact_motion[0].ravel()
+    changes = []
+    for own in (model, heavy):
+        balance = Balance(own, 1.39, few)
+        x = motion / balance.length
+        changes.append(adaptive._Above.of(balance, x, 1.39).below(balance, x, beside(balance, x, 1.39)))
+    assert changes[1] == pytest.approx(changes[0], rel=1e-6)
+
+
 def test_what_harmonics_change_below_them_is_left_out_too():
     """Their own size is what may be left out; with what they change it is more."""
     model, few = lightly_damped(3.0, 1.39), Scheme(7, 256)
