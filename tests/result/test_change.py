@@ -152,7 +152,7 @@ def scenes(folder: Path) -> dict[str, dict[str, Any]]:
             "study": {
                 "kind": "optimum",
                 "along": {"contacts.pad.preload": {"from": 1.0, "to": 3.0, "num": 4}},
-                "frequency": SPACED,
+                "frequency": {"from": 0.8, "to": 1.6, "num": 9},
                 "accuracy": 0.1,
                 "point": "tip",
                 "axis": "x",
