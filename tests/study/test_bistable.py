@@ -647,16 +647,20 @@ def stepping(toy: Branches, lands: Callable[[float, float, float], float]) -> tu
     return steady, carried
 
 
-def test_a_motion_that_is_carried_to_a_third_one_is_lost():
-    """Beyond 1.7 steps lead from motion 0 to 3, those up to 0.1 to 2, which is as far from it as most of the way."""
-    toy = Branches(*[(-np.inf, np.inf)] * 4, slope=0.0)
+@pytest.mark.parametrize(("num", "start", "far", "third"), [(4, 0, 3, 2), (3, 1, 2, 0)])
+def test_a_motion_that_is_carried_to_a_third_one_is_lost(num: int, start: int, far: int, third: int):
+    """Beyond 1.7 long steps lead from a motion to the far one, those up to 0.1 to a third.
+
+    That is as far from it as most of the way, or away from both.
+    """
+    toy = Branches(*[(-np.inf, np.inf)] * num, slope=0.0)
 
     def lands(branch: float, last: float, frequency: float) -> float:
-        lost = branch == 0 and frequency > 1.7
-        return (2 if frequency - last <= 0.1 else 3) if lost else branch
+        lost = branch == start and frequency > 1.7
+        return (third if frequency - last <= 0.1 else far) if lost else branch
 
     steady, carried = stepping(toy, lands)
-    (on,), (beyond,) = carried(0, 1.0, [1.0]), carried(3, 2.0, [2.0])
+    (on,), (beyond,) = carried(start, 1.0, [1.0]), carried(far, 2.0, [2.0])
     step = Stretch(oscillator(2.0, 1.0), 1.0, 2.0, on, beyond, least=0.05)
     assert list(jumps_of([step], steady, 1 / 16)) == [(0, 1.6875, 1.75)]
 
@@ -961,20 +965,6 @@ def test_jumps_of_a_motion_that_the_sweep_was_never_on_are_none():
     (on,), (beyond,) = carried(0, 1.0, [1.0]), carried(2, 2.0, [2.0])
     step = Stretch(oscillator(2.0, 1.0), 1.0, 2.0, on, beyond, least=0.05)
     assert list(jumps_of([step], steady, 1e-3)) == [(0, 1.0, 2.0)]
-
-
-def test_a_motion_that_is_carried_away_from_both_is_lost():
-    """Beyond 1.7 long steps lead from motion 1 to 2, short ones to 0: as far from it, to the other side."""
-    toy = Branches(*[(-np.inf, np.inf)] * 3, slope=0.0)
-
-    def lands(branch: float, last: float, frequency: float) -> float:
-        lost = branch == 1 and frequency > 1.7
-        return (0 if frequency - last <= 0.1 else 2) if lost else branch
-
-    steady, carried = stepping(toy, lands)
-    (on,), (beyond,) = carried(1, 1.0, [1.0]), carried(2, 2.0, [2.0])
-    step = Stretch(oscillator(2.0, 1.0), 1.0, 2.0, on, beyond, least=0.05)
-    assert list(jumps_of([step], steady, 1 / 16)) == [(0, 1.6875, 1.75)]
 
 
 def test_steps_of_a_sweep_are_judged_alike_both_ways_and_beside_points_that_failed():

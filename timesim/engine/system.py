@@ -79,7 +79,7 @@ MOST_SUMMED = 32
 """Most terms that XLA adds in one loop; more it adds in parts, which takes longer than its own product."""
 WIDE = 20
 """Entries of the matrix of contacts and modes from which on trajectories go one after the other, the stages of a step
-in a loop: compiled in a tenth to a third of the time. Side by side they would run a quarter faster (measured)."""
+in a loop: a sweep compiles in two thirds of the time or less (benchmarks/README.md), and marches somewhat slower."""
 
 
 IDLE_DAMPING = 2.0
