@@ -988,14 +988,35 @@ def test_the_first_of_two_jumps_behind_a_long_step_is_that_of_its_motion():
     assert (lost.jump.near, lost.jump.far) == pytest.approx((1.52, 1.52), abs=2e-6)
 
 
-def test_a_motion_that_a_sweep_has_lost_is_followed_up_a_slope():
-    """There it is nearer to the one beyond the jump than to what it was at the jump, yet always itself."""
-    toy = two_branches(1.23, 1.82, slope=1.5)
+@pytest.mark.parametrize("slope", [1.5, 3.0, 6.0, 12.0])
+def test_a_motion_that_a_sweep_has_lost_is_followed_up_a_slope(slope: float):
+    """There it is nearer to the one beyond the jump than to what it was at the jump, or past it, yet always itself."""
+    toy = two_branches(1.23, 1.82, slope=slope)
     search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
     early = [toy.orbit(float(f > 1.36), f) for f in sweeps.frequency]
     sweeps = replace(sweeps, orbits=(early, sweeps.orbits[DOWN]))
     (lost,) = [loss for loss in losses(search, sweeps) if loss.direction == UP]
     assert (lost.jump.near, lost.jump.far) == pytest.approx((1.82, 1.82), abs=2e-6)
+
+
+def test_a_motion_that_comes_down_to_the_other_one_does_not_live_on():
+    """From 1.7 on both are one: the sweep, which has lost it by the length of a step, counts with its jump."""
+    toy = two_branches(1.23, np.inf, slope=0.0)
+    apart = toy.orbit
+
+    def orbit(branch: float, frequency: float) -> Orbit:
+        own = apart(branch, frequency)
+        if own.end.displacement[0] == 1:
+            return own
+        return replace(own, amplitude=np.full((1, 3), np.clip(1 + 5 * (frequency - 1.5), 1, 2)))
+
+    toy.orbit = orbit
+    search, sweeps = toy_search(toy), toy_sweeps(toy, np.linspace(1.0, 2.0, 21))
+    early = [toy.orbit(float(f > 1.36), f) for f in sweeps.frequency]
+    sweeps = replace(sweeps, orbits=(early, [toy.orbit(float(f > 1.22), f) for f in sweeps.frequency]))
+    (lost,) = [loss for loss in losses(search, sweeps) if loss.direction == UP]
+    assert not lost.lives
+    assert 1.35 <= lost.jump.near < lost.jump.far <= 1.4
 
 
 @pytest.mark.parametrize("shape", [{}, {"rise": 0.05, "slope": 8.0}])

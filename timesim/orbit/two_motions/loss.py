@@ -156,12 +156,9 @@ def _followed(search: RangeSearch, jump: Stretch, limit: float, longest: float) 
         ahead = _ahead(search, jump, limit, longest)
         if ahead is None:
             break
-        if ahead.near == limit:
-            return ahead
-        jumps = narrowed([ahead], search.steady, search.width)
-        if not jumps:
-            return None
-        jump = jumps[0][1]
+        if ahead.near == ahead.far:
+            return ahead if ahead.near == limit else None
+        jump = ahead
     return jump
 
 
@@ -205,15 +202,27 @@ def traced_back(search: RangeSearch, sweeps: Sweeps, lost: Sequence[Loss], loss:
 
 
 def _ahead(search: RangeSearch, jump: Stretch, limit: float, longest: float) -> Stretch | None:
-    """Where the motion is lost beyond a jump; None if it is lost there. Without length if it lives to the limit."""
-    near, on, far = jump.near, jump.on, jump.far
-    step = jump.far - jump.near
+    """The next jump at which the motion is lost beyond a jump; None if it is lost at that.
+
+    Without length, at the limit where it lives so far, at the first where it has come down a slope to the one beyond.
+    """
+    near, on, far, beyond = jump.near, jump.on, jump.far, jump.beyond
+    step, way = jump.far - jump.near, list[float]()
     while True:
         (orbit,) = search.along(on.end, [far])
         if orbit.reason is not None:
             return None
-        if distance(orbit, on) > distance(orbit, jump.beyond):
-            return None if near == jump.near else Stretch(search.model, near, far, on, orbit, jump.least)
+        way.append(far)
+        if distance(orbit, on) > distance(orbit, beyond):
+            if near == jump.near:
+                return None
+            part = Stretch(search.model, near, far, on, orbit, jump.least)
+            if jumps := narrowed([part], search.steady, search.width):
+                return jumps[0][1]
+            # On a slope it may pass the size that the other motion had at the jump: what that one is here tells.
+            beyond, way = search.along(beyond.end, way)[-1], []
+            if not differ(orbit, beyond):
+                return replace(jump, far=jump.near)
         if far == limit:
             return replace(jump, near=limit, far=limit, on=orbit, beyond=orbit)
         near, on = far, orbit
