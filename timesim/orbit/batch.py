@@ -155,8 +155,12 @@ def _slopes(lanes: Sequence[Lane], method: Method, steps: Sequence[Step], each: 
 
 def _by_matrices(method: Explicit, lane: Lane, steps: Step) -> bool:
     """Whether products of matrices are quicker, or needed, as a mode may be fast over the steps."""
-    fastest = lane.model.stuck_rate / lane.frame.scales.omega
-    return lane.vector.size >= MANY or error_of(method.name, fastest * steps.h).sum() > LOST
+    return lane.vector.size >= MANY or error_of(method.name, _fastest(lane) * steps.h).sum() > LOST
+
+
+def _fastest(lane: Lane) -> float:
+    """Fastest rate of its structure with every contact stuck, dimensionless."""
+    return lane.model.stuck_rate / lane.frame.scales.omega
 
 
 def _slope_of_explicit(method: Explicit, own: tuple[Lane, Step]) -> np.ndarray:
@@ -169,7 +173,7 @@ def _slope_of_explicit(method: Explicit, own: tuple[Lane, Step]) -> np.ndarray:
         rows = np.minimum(np.arange(first, first + PIECE), size - 1)
         pieces.append(_on_host(linear(method, system, _entry(steps, rows))))
     whole = jax.tree.map(lambda *rows: np.concatenate(rows)[:size], *pieces)
-    disturbed = Disturbed(method, system)
+    disturbed = Disturbed(method, system, _fastest(lane))
     with np.errstate(over="ignore", invalid="ignore"):
         return disturbed.moved(whole, steps.h, steps.state) @ disturbed.opening(whole)
 

@@ -18,15 +18,15 @@ from timesim.engine.system import System
 from timesim.model.model import SLIP
 from timesim.orbit.monodromy.linearised import Linear, weights_of
 
-MANY = 48
-"""Numbers in a state from which on this is as quick as `derivative`; with 28 it takes half as long again."""
+MANY = 64
+"""Numbers in a state from which on this is as quick as `derivative`; with 28 it takes twice as long."""
 LOST = 5e-4
 """Error of the modulus of a multiplier over some steps from which on the modes that it is of are fast."""
 FAST = 0.05
 """Share of it, if all steps were alike, from which on a mode is fast over a step."""
 VAGUE = 1e-6
 """Product of unit left and right eigenvectors below which a mode counts as one of a defective matrix."""
-LEAST, ENTRIES = 32, 100_000
+LEAST, ENTRIES = 8, 100_000
 """Steps, and entries of their matrices, that are led through at a time: more do not stay in the caches."""
 
 
@@ -84,22 +84,24 @@ class Disturbed:
 
     Args:
         system: of one trajectory, its arrays of numpy.
+        fastest: bound of the rates of its modes, whatever the contacts hold.
     """
 
-    def __init__(self, method: Explicit, system: System):
+    def __init__(self, method: Explicit, system: System, fastest: float):
         own = tableau(method.name)
         self.weights, self.shape = weights_of(own), np.concatenate(system.shape)
         self.nodes = np.concatenate([[0.0], own.nodes])[: len(self.weights) - 1]
         self.modes, self.stiffness = self.shape.shape[1], np.asarray(system.stiffness)
         self.damping = np.asarray(system.damping)
-        self.axes = len(system.shape)
-        self.size = 2 * self.modes + system.law.preload.size * (self.axes - 1)
-        self.name = method.name
+        self.axes, self.contacts = len(system.shape), system.law.preload.size
+        self.size = 2 * self.modes + self.contacts * (self.axes - 1)
+        self.name, self.fastest = method.name, fastest
         self._modes_of: dict[bytes, Fast] = {}
 
     def opening(self, steps: Linear) -> np.ndarray:
         """Derivative of the state from which the first step starts by that from which its lane does."""
-        return self._put(_on_diagonals(steps.opening[:1]), np.eye(self.size)[None])[0]
+        columns = np.eye(self.size)[None]
+        return self._put(steps.opening[:1], self._of_contacts(columns), columns)[0]
 
     def moved(self, steps: Linear, h: np.ndarray, state: np.ndarray) -> np.ndarray:
         """The product of those of some steps of lengths h in these states of the contacts, shape (n, n)."""
@@ -113,40 +115,51 @@ class Disturbed:
 
     def _moves(self, steps: Linear, h: np.ndarray, state: np.ndarray, allowed: float) -> np.ndarray:
         """Those of a few steps, shape (N, n, n); ``allowed``: error from which on a mode is fast."""
-        rates = _on_diagonals(steps.rates)
         fast = self._of_steps(steps.rates[:, 0], h, state, allowed)
-        start = np.broadcast_to(np.eye(self.size), (h.size, self.size, self.size))
-        slopes: list[np.ndarray] = []
+        slopes = np.empty((len(self.nodes), h.size, self.size, self.size))
         for stage, row in enumerate(self.weights):
-            columns = start + h[:, None, None] * sum(weight * slope for weight, slope in zip(row, slopes, strict=False))
+            columns = np.tensordot(row[:stage], slopes[:stage], 1)
+            columns *= h[:, None, None]
+            columns.reshape(h.size, -1)[:, :: self.size + 1] += 1.0  # what is moved is the unit matrix
             after = h * np.append(self.nodes, 1.0)[stage]
             columns = columns if fast is None else fast.turned(columns, after)
             if stage < len(self.nodes):
-                slope = self._rate(rates[:, stage], columns)
-                slopes.append(slope if fast is None else fast.turned(slope - fast.rate(columns), -after))
-        delay = steps.delay.reshape(h.size, 1, -1) @ self._of_contacts(columns)
-        columns = self._put(_on_diagonals(steps.put), columns + steps.before[..., None] * delay)
-        return columns - steps.after[..., None] * delay
+                slope = self._rate(steps.rates[:, stage], columns, slopes[stage])
+                if fast is not None:
+                    slope[...] = fast.turned(slope - fast.rate(columns), -after)
+        local = self._of_contacts(columns)
+        delay = steps.delay.reshape(h.size, 1, -1) @ local.reshape(h.size, -1, self.size)
+        delayed = columns + steps.before[..., None] * delay
+        return self._put(steps.put, self._of_contacts(delayed), delayed) - steps.after[..., None] * delay
 
     def _of_contacts(self, columns: np.ndarray) -> np.ndarray:
-        """Those of the contacts, rows in the order of the disturbance and the contact."""
-        q, p, w = np.split(columns, [self.modes, 2 * self.modes], axis=-2)
-        return np.concatenate([self.shape @ q, self.shape @ p, w], axis=-2)
+        """Those of the contacts, shape (N, disturbance, contact, n)."""
+        num, axes = len(columns), self.axes
+        local = np.empty((num, 3 * axes - 1, self.contacts, self.size))
+        motion = columns[:, : 2 * self.modes].reshape(num, 2, self.modes, self.size)
+        np.matmul(self.shape, motion, out=local[:, : 2 * axes].reshape(num, 2, len(self.shape), self.size))
+        local[:, 2 * axes :] = columns[:, 2 * self.modes :].reshape(num, axes - 1, self.contacts, self.size)
+        return local
 
-    def _rate(self, blocks: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        q, p, _ = np.split(columns, [self.modes, 2 * self.modes], axis=-2)
-        pushes, dw = np.split(blocks @ self._of_contacts(columns), [len(self.shape)], axis=-2)
-        drag = self.damping[:, None] * p if self.damping.ndim == 1 else self.damping @ p
-        return np.concatenate([p, self.shape.T @ pushes - self.stiffness[:, None] * q - drag, dw], axis=-2)
+    def _rate(self, rates: np.ndarray, columns: np.ndarray, out: np.ndarray) -> np.ndarray:
+        acts, moving = _by_contact(rates, self._of_contacts(columns)), slice(self.modes, 2 * self.modes)
+        q, p, push = columns[:, : self.modes], columns[:, moving], out[:, moving]
+        np.matmul(self.shape.T, _in_rows(acts[:, : self.axes]), out=push)
+        push -= self.stiffness[:, None] * q
+        push -= self.damping[:, None] * p if self.damping.ndim == 1 else self.damping @ p
+        out[:, : self.modes], out[:, 2 * self.modes :] = p, _in_rows(acts[:, self.axes :])
+        return out
 
-    def _put(self, blocks: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        return np.concatenate([columns[..., : 2 * self.modes, :], blocks @ self._of_contacts(columns)], axis=-2)
+    def _put(self, blocks: np.ndarray, local: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        return np.concatenate([columns[:, : 2 * self.modes], _in_rows(_by_contact(blocks, local))], axis=1)
 
     def _of_steps(self, rates: np.ndarray, h: np.ndarray, state: np.ndarray, allowed: float) -> Fast | None:
         """The modes that are fast over each of some steps, whose axis is the first; None where no mode is.
 
         ``rates``: of the contacts at their starts, (step, disturbance, rate, contact).
         """
+        if error_of(self.name, self.fastest * h.max()) <= allowed:
+            return None
         _, first, own = np.unique(state, axis=0, return_index=True, return_inverse=True)
         known = []
         for number, k in enumerate(first):
@@ -170,7 +183,8 @@ class Disturbed:
         held, normal = np.where(state == SLIP, 0.0, rates), self.axes - 1
         held[normal, normal] = rates[normal, normal]  # the normal load, where a contact slips too
         if state.tobytes() not in self._modes_of:
-            self._modes_of[state.tobytes()] = modes_of(self._rate(_on_diagonals(held), np.eye(self.size)))
+            one = np.eye(self.size)[None]
+            self._modes_of[state.tobytes()] = modes_of(self._rate(held[None], one, np.empty_like(one))[0])
         return self._modes_of[state.tobytes()]
 
 
@@ -191,9 +205,14 @@ def product(moves: np.ndarray) -> np.ndarray:
     return moves[0]
 
 
-def _on_diagonals(blocks: np.ndarray) -> np.ndarray:
-    """Rows by columns of all contacts, from (..., column, row, contact)."""
-    *before, columns, rows, contacts = blocks.shape
-    whole, at = np.zeros((*before, rows, contacts, columns, contacts)), np.arange(contacts)
-    whole[..., :, at, :, at] = np.moveaxis(blocks, (-1, -2, -3), (0, -2, -1))
-    return whole.reshape(*before, rows * contacts, columns * contacts)
+def _by_contact(blocks: np.ndarray, local: np.ndarray) -> np.ndarray:
+    """What each contact does by itself, shape (N, row, contact, n), from blocks (N, disturbance, row, contact)."""
+    found = np.empty((len(local), blocks.shape[2], *local.shape[2:]))
+    np.matmul(blocks.transpose(0, 3, 2, 1), local.swapaxes(1, 2), out=found.swapaxes(1, 2))
+    return found
+
+
+def _in_rows(parts: np.ndarray) -> np.ndarray:
+    """(N, row, contact, n) with all contacts of a row below those of the row before."""
+    num, rows, contacts, size = parts.shape
+    return parts.reshape(num, rows * contacts, size)
