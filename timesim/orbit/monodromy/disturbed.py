@@ -50,33 +50,49 @@ def _stability(name: str) -> np.ndarray:
 
 
 class Fast(NamedTuple):
-    """Fast modes of the structure as contacts hold it while they keep their states.
+    """Fast modes of the structure as contacts hold it while they keep their states, of each of some steps.
+
+    Real parts come before imaginary ones: a product of complex matrices takes four times as long.
 
     Attributes:
-        rates: their eigenvalues, shape (F,).
-        shapes: eigenvectors of the state, columns, shape (n, F).
-        parts: share of each in a state, shape (F, n).
+        rates: their eigenvalues, of a conjugate pair the upper one, shape (N, F).
+        shapes: parts of their eigenvectors, by which shares make up a state, shape (N, n, 2, F).
+        parts: those of the shares of each in a state, shape (N, 2, F, n).
     """
 
     rates: np.ndarray
     shapes: np.ndarray
     parts: np.ndarray
 
-    def fastest(self, num: int) -> "Fast":
-        """The first ones."""
+    def shares(self, columns: np.ndarray) -> np.ndarray:
+        """Complex shares of the modes in columns, shape (N, F, n)."""
+        num, _, modes, size = self.parts.shape
+        both = self.parts.reshape(num, 2 * modes, size) @ columns
+        return both[:, :modes] + 1j * both[:, modes:]
+
+    def columns(self, shares: np.ndarray) -> np.ndarray:
+        """What shares make up, shape (N, n, n)."""
+        num, size, _, modes = self.shapes.shape
+        return self.shapes.reshape(num, size, 2 * modes) @ np.concatenate([shares.real, shares.imag], axis=1)
+
+    def change(self, time: np.ndarray) -> np.ndarray:
+        """By which each moves by itself for a time, or back where it is negative, less 1, shape (N, F, 1)."""
+        return np.expm1(self.rates * time[:, None])[..., None]
+
+
+class Modes(NamedTuple):
+    """Eigenvalues, shape (F,), eigenvectors, columns (n, F), and shares of each mode in a state, shape (F, n)."""
+
+    rates: np.ndarray
+    shapes: np.ndarray
+    parts: np.ndarray
+
+    def fastest(self, num: int) -> "Modes":
+        """The first ones, of a conjugate pair the upper one for both."""
         right, left = self.shapes[:, :num], self.parts[:num]
-        return Fast(self.rates[:num], right, np.linalg.pinv(left @ right) @ left)
-
-    def turned(self, columns: np.ndarray, time: np.ndarray) -> np.ndarray:
-        """Columns after these modes have moved by themselves for a time, or before it where it is negative."""
-        return columns + self._changed(columns, np.exp(self.rates * time[:, None]) - 1)
-
-    def rate(self, columns: np.ndarray) -> np.ndarray:
-        """The rate at which they do."""
-        return self._changed(columns, self.rates)
-
-    def _changed(self, columns: np.ndarray, factor: np.ndarray) -> np.ndarray:
-        return (self.shapes @ (factor[..., None] * (self.parts @ columns))).real
+        parts, upper = np.linalg.pinv(left @ right) @ left, self.rates[:num].imag >= 0
+        twice = np.where(self.rates[:num].imag > 0, 2.0, 1.0)
+        return Modes(self.rates[:num][upper], (twice * right)[:, upper], parts[upper])
 
 
 class Disturbed:
@@ -96,7 +112,7 @@ class Disturbed:
         self.axes, self.contacts = len(system.shape), system.law.preload.size
         self.size = 2 * self.modes + self.contacts * (self.axes - 1)
         self.name, self.fastest = method.name, fastest
-        self._modes_of: dict[bytes, Fast] = {}
+        self._modes_of: dict[bytes, Modes] = {}
 
     def opening(self, steps: Linear) -> np.ndarray:
         """Derivative of the state from which the first step starts by that from which its lane does."""
@@ -122,11 +138,14 @@ class Disturbed:
             columns *= h[:, None, None]
             columns.reshape(h.size, -1)[:, :: self.size + 1] += 1.0  # what is moved is the unit matrix
             after = h * np.append(self.nodes, 1.0)[stage]
-            columns = columns if fast is None else fast.turned(columns, after)
+            if fast is not None:
+                shares = fast.shares(columns)
+                columns += fast.columns(fast.change(after) * shares)
             if stage < len(self.nodes):
                 slope = self._rate(steps.rates[:, stage], columns, slopes[stage])
                 if fast is not None:
-                    slope[...] = fast.turned(slope - fast.rate(columns), -after)
+                    own = fast.change(-after) * fast.shares(slope) - fast.rates[..., None] * shares
+                    slope += fast.columns(own)
         local = self._of_contacts(columns)
         delay = steps.delay.reshape(h.size, 1, -1) @ local.reshape(h.size, -1, self.size)
         delayed = columns + steps.before[..., None] * delay
@@ -169,16 +188,17 @@ class Disturbed:
         num = max(len(modes.rates) for modes in known)
         if not num:
             return None
-        all_of = Fast(
-            *(np.zeros((first.size, *shape), complex) for shape in ((num,), (self.size, num), (num, self.size)))
-        )
+        sizes = (num,), (self.size, 2, num), (2, num, self.size)
+        rates, shapes, parts = (np.zeros((first.size, *size), kind) for size, kind in zip(sizes, "Ddd", strict=True))
         for k, modes in enumerate(known):
             count = len(modes.rates)
-            all_of.rates[k, :count], all_of.shapes[k, :, :count], all_of.parts[k, :count] = modes
-        values, shapes, parts = (table[own] for table in all_of)
-        return Fast(np.where(error_of(self.name, np.abs(values) * h[:, None]) > allowed, values, 0.0), shapes, parts)
+            rates[k, :count] = modes.rates
+            shapes[k, :, 0, :count], shapes[k, :, 1, :count] = modes.shapes.real, -modes.shapes.imag
+            parts[k, 0, :count], parts[k, 1, :count] = modes.parts.real, modes.parts.imag
+        values = np.where(error_of(self.name, np.abs(rates[own]) * h[:, None]) > allowed, rates[own], 0.0)
+        return Fast(values, shapes[own], parts[own])
 
-    def _of_state(self, rates: np.ndarray, state: np.ndarray) -> Fast:
+    def _of_state(self, rates: np.ndarray, state: np.ndarray) -> Modes:
         """All modes as contacts in these states hold the structure."""
         held, normal = np.where(state == SLIP, 0.0, rates), self.axes - 1
         held[normal, normal] = rates[normal, normal]  # the normal load, where a contact slips too
@@ -188,13 +208,13 @@ class Disturbed:
         return self._modes_of[state.tobytes()]
 
 
-def modes_of(matrix: np.ndarray) -> Fast:
+def modes_of(matrix: np.ndarray) -> Modes:
     """Eigenvalues, the fastest first, and eigenvectors of a matrix; without those that a defect leaves vague."""
     values, left, right = scipy.linalg.eig(np.nan_to_num(matrix), left=True)
     clear = np.abs((left.conj() * right).sum(axis=0)) > VAGUE
     order = np.argsort(-np.abs(values), kind="stable")
     order = order[clear[order]]
-    return Fast(values[order], right[:, order], left[:, order].conj().T)
+    return Modes(values[order], right[:, order], left[:, order].conj().T)
 
 
 def product(moves: np.ndarray) -> np.ndarray:
