@@ -1352,15 +1352,15 @@ def test_check_estimates_the_cost_of_each_phase():
     def said(name: str, *overrides: str) -> tuple[str, ...]:
         return describe(load_scene(CONFIGS / f"{name}.yaml", overrides)).get("cost", ())
 
-    # 75 + 4.9 x 2.19 steps for stability, of 3.0 + 0.078 x 2 modes x 1 contact µs each.
+    # 75 + 4.9 x 2.19 steps for stability, of 1.7 + 0.65 times the root of 2 modes x 1 contact µs each.
     (run, source) = said("oscillator")
-    assert run == "about 60 cycles of 271 µs: 16 ms"
+    assert run == "about 60 cycles of 225 µs: 13 ms"
     assert "one core" in source
-    assert said("oscillator", "study.cycles=10000000")[0] == "about 10000000 cycles of 271 µs: 45 min"
-    assert said("oscillator", "study.cycles=1000000000")[0].endswith(": 3.1 days")
+    assert said("oscillator", "study.cycles=10000000")[0] == "about 10000000 cycles of 225 µs: 37 min"
+    assert said("oscillator", "study.cycles=1000000000")[0].endswith(": 2.6 days")
     sweep, balance, _ = said("figure10")
     assert sweep.startswith("about 774 points of ")
-    assert sweep.endswith(" beside them (48 s in all if none settles in settle.max_cycles = 800): 14 s")
+    assert sweep.endswith(" beside them (52 s in all if none settles in settle.max_cycles = 800): 15 s")
     # 7 ms, 2.5 for multipliers in 5 states, and 0.2 for 93 unknowns, of 256 samples; 0.8 of the first two go with them.
     assert balance == "about 9 curves of harmonic balance of 200 solutions of 9.7 ms: 18 s"
     assert "of 33 ms: 59 s" in said("figure10", "study.time_samples=1024")[1]

@@ -32,6 +32,7 @@ from timesim.engine.law.contact_law import (
     dot,
 )
 from timesim.engine.law.table import law_class
+from timesim.model.cost import WIDE
 from timesim.model.model import Model
 from timesim.model.reduction import COUPLED, Reduction, reduction_of
 from timesim.model.scales import Scales, scales_of
@@ -77,10 +78,6 @@ class Point(ContinuousState):
 
 MOST_SUMMED = 32
 """Most terms that XLA adds in one loop; more it adds in parts, which takes longer than its own product."""
-WIDE = 20
-"""Entries of the matrix of contacts and modes from which on trajectories go one after the other, the stages of a step
-in a loop: a sweep compiles in two thirds of the time or less (benchmarks/README.md), and marches somewhat slower."""
-
 
 IDLE_DAMPING = 2.0
 """Damping of modes that are not those of the model, whose stiffness is 1: critical."""
@@ -121,6 +118,7 @@ class System(Dynamics):
 
     @property
     def wide(self) -> bool:
+        # A sweep of many entries compiles in two thirds of the time or less so, and marches somewhat slower.
         *_, contacts, modes = self.shape[0].shape
         return modes > MOST_SUMMED or contacts * modes > WIDE
 

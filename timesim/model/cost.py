@@ -1,6 +1,6 @@
 """About how long an integration and a harmonic balance take, from figures measured on one core of a server.
 
-    python benchmarks/cost.py           a step and a derivative: within 25 and 45 % for 2 to 30 modes, 1 to 4 contacts
+    python benchmarks/cost.py           2 to 50 modes: a step within a factor of 2, a derivative of 1.8
     python benchmarks/accuracy.py       steps of a cycle: those of the oscillator, the blade and 20 modes
 
 Another machine, separation within the cycle and many transitions change them by a factor of two or three.
@@ -25,10 +25,13 @@ STABLE = STEPS["draft"][1]
 """Fewest steps for each one that stability asks for, by any tolerance.
 
 By dopri8 at rtol 2.9e-9 on a six-mode beam, 115 times as fast as its excitation, up to 2.8; by the tolerance 3.5."""
-RECORDED, SIDE_BY_SIDE = (3.0, 0.078), (0.75, 0.068)
-"""Microseconds of a step of tsit5, and for each mode and contact: of a run that is recorded, of one of sixteen."""
+RECORDED, SIDE_BY_SIDE = (1.7, 0.65), (0.25, 0.5)
+"""Microseconds of a step of tsit5, and for the root of the number of modes times contacts: of a run that is recorded,
+of one of sixteen."""
 ALONE = 2.8
 """Work of a step of one that is alone and not recorded, as a multiple of that of one of sixteen."""
+WIDE = 20
+"""Modes times contacts from which on trajectories go one after the other, and each takes what one of sixteen does."""
 FOLLOWED = 40
 """Steps of a cycle by which a motion in closed form is recorded."""
 STAGES = {
@@ -197,9 +200,10 @@ def seconds_a_cycle(model: Model, solver: Solver, frequency: float, side_by_side
         steps = least + multiple * asked / (REACH * frequency)
         steps = max(steps, SLIPPING * slip_steps(model, frequency) * (solver.name != "exponential"))
     each, share = RECORDED if side_by_side is None else SIDE_BY_SIDE
-    alone = 1.0 if side_by_side is None else max(1.0, ALONE ** (1 - np.log(side_by_side) / np.log(16)))
-    size = model.structure.num_modes * model.num_contacts
-    return float(1e-6 * STAGES[solver.name] * alone * steps * (each + share * size))
+    size, alone = model.structure.num_modes * model.num_contacts, 1.0
+    if side_by_side is not None and size <= WIDE:
+        alone = max(1.0, ALONE ** (1 - np.log(side_by_side) / np.log(16)))
+    return float(1e-6 * STAGES[solver.name] * alone * steps * (each + share * np.sqrt(size)))
 
 
 def seconds_a_derivative(model: Model, solver: Solver, frequency: float) -> float:
