@@ -57,7 +57,18 @@ def test_the_table_by_the_rates_of_a_scene() -> None:
     assert taken(slowly_driven()).name == "dopri8"
     assert taken(oscillator(3.0, 1.39)).name == "tsit5"
     methods = [line.method for line in TABLE]
-    assert methods == ["exponential", "kvaerno5", "exponential", "dopri8"]
+    assert methods == ["exponential", "kvaerno5", "exponential", "dopri8", "dopri8"]
+
+
+def test_a_sweep_gains_by_fewer_steps_where_trajectories_go_one_after_the_other() -> None:
+    """Eight seconds by tsit5 of each: of the blade, and of a structure that is marched side by side."""
+    names, blade = [], load_scene(ROOT / "configs" / "blade_response.yaml").model()
+    for model, frequency in ((blade, 725.0), (slowly_driven(), 0.3)):
+        once = Work(((frequency, 1),), frequency, side_by_side=16)
+        cycles = 8.0 / seconds(model, Solver("tsit5", 1e-7, 1e-9), once)
+        work = Work(((frequency, cycles),), frequency, side_by_side=16)
+        names.append(choice("standard", model, work, BUDGET).solver.name)
+    assert names == ["dopri8", "tsit5"]
 
 
 @pytest.mark.parametrize("model", [slippery(), scene(MANY_MODES), slowly_driven()], ids=["slip", "fast", "slow"])

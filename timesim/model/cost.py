@@ -94,6 +94,11 @@ class Work:
         return sum(cycles for _, cycles in self.phases) if self.side_by_side is None else None
 
 
+def one_by_one(model: Model) -> bool:
+    """Whether trajectories are marched one after the other, and not side by side."""
+    return model.structure.num_modes * model.num_contacts > WIDE
+
+
 def stable_steps(model: Model, frequency: float) -> float:
     """Explicit steps of a cycle at a frequency [Hz] that stability alone asks for."""
     return model.stuck_rate / (REACH * frequency)
@@ -201,7 +206,7 @@ def seconds_a_cycle(model: Model, solver: Solver, frequency: float, side_by_side
         steps = max(steps, SLIPPING * slip_steps(model, frequency) * (solver.name != "exponential"))
     each, share = RECORDED if side_by_side is None else SIDE_BY_SIDE
     size, alone = model.structure.num_modes * model.num_contacts, 1.0
-    if side_by_side is not None and size <= WIDE:
+    if side_by_side is not None and not one_by_one(model):
         alone = max(1.0, ALONE ** (1 - np.log(side_by_side) / np.log(16)))
     return float(1e-6 * STAGES[solver.name] * alone * steps * (each + share * np.sqrt(size)))
 
