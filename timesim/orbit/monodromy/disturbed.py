@@ -117,7 +117,7 @@ class Disturbed:
     def opening(self, steps: Linear) -> np.ndarray:
         """Derivative of the state from which the first step starts by that from which its lane does."""
         columns = np.eye(self.size)[None]
-        return self._put(steps.opening[:1], self._of_contacts(columns), columns)[0]
+        return self._put(steps.opening[:1], columns)[0]
 
     def moved(self, steps: Linear, h: np.ndarray, state: np.ndarray) -> np.ndarray:
         """The product of those of some steps of lengths h in these states of the contacts, shape (n, n)."""
@@ -146,10 +146,9 @@ class Disturbed:
                 if fast is not None:
                     own = fast.change(-after) * fast.shares(slope) - fast.rates[..., None] * shares
                     slope += fast.columns(own)
-        local = self._of_contacts(columns)
-        delay = steps.delay.reshape(h.size, 1, -1) @ local.reshape(h.size, -1, self.size)
-        delayed = columns + steps.before[..., None] * delay
-        return self._put(steps.put, self._of_contacts(delayed), delayed) - steps.after[..., None] * delay
+        local = self._of_contacts(columns).reshape(h.size, -1, self.size)
+        delay = steps.delay.reshape(h.size, 1, -1) @ local
+        return self._put(steps.put, columns + steps.before[..., None] * delay) - steps.after[..., None] * delay
 
     def _of_contacts(self, columns: np.ndarray) -> np.ndarray:
         """Those of the contacts, shape (N, disturbance, contact, n)."""
@@ -169,8 +168,9 @@ class Disturbed:
         out[:, : self.modes], out[:, 2 * self.modes :] = p, _in_rows(acts[:, self.axes :])
         return out
 
-    def _put(self, blocks: np.ndarray, local: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        return np.concatenate([columns[:, : 2 * self.modes], _in_rows(_by_contact(blocks, local))], axis=1)
+    def _put(self, blocks: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        slip = _in_rows(_by_contact(blocks, self._of_contacts(columns)))
+        return np.concatenate([columns[:, : 2 * self.modes], slip], axis=1)
 
     def _of_steps(self, rates: np.ndarray, h: np.ndarray, state: np.ndarray, allowed: float) -> Fast | None:
         """The modes that are fast over each of some steps, whose axis is the first; None where no mode is.
