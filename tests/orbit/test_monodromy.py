@@ -119,3 +119,27 @@ def test_modes_that_are_taken_out_of_the_rates_act_on_slip_as_they_do_within_the
     within, taken = (one.slope for one in found)
     assert {STICK, SLIP} <= set(found[0].steps.state.ravel().tolist())
     np.testing.assert_allclose(taken, within, rtol=0, atol=1e-8 * np.abs(within).max())
+
+
+def opens_and_never_rubs() -> Model:
+    """A contact with a full K_u that opens, and a stop that no mode moves along its plane."""
+    body = structure([30.0, 50.0], [0.6, 0.8], [[1.0, 0.3, 0.8], [-0.4, 1.0, 0.6]])
+    rub = replace(pad(0.4, 1.0, 20.0, 2.0), tangential_stiffness=np.array([[12.0, 3.0], [3.0, 8.0]]))
+    shape = np.concatenate([body.shape, [[[0.0, 0.0], [0.0, 0.0], [0.7, -0.5]]]])
+    stop = Contact("stop", "end", GROUND, np.eye(3), 0.0, np.zeros((2, 2)), 30.0, -1.0)
+    body = replace(body, points=("tip", "end"), shape=shape)
+    return Model(body, (rub, stop), excitation(0.9, [6.0, 2.0], [0.0, 1.0]), at_rest(2, 2))
+
+
+def test_collocation_leads_a_disturbance_as_explicit_steps_do(monkeypatch):
+    """Through all three states of a contact, and beside one without any motion along its plane."""
+    found, model = [], opens_and_never_rubs()
+    monkeypatch.setattr(batch, "MANY", 0)  # products of matrices compile for less
+    for method in ("exponential", "tsit5"):
+        solver = Solver(method, 1e-10, 1e-12)
+        lane = first_lane(Chain(model, (model.excitation.frequency,)), solver)
+        found.append(batch.record([lane], solver, [CYCLES])[0])
+    assert set(found[0].steps.state[:, 1].tolist()) == {STICK, SLIP, SEPARATION}
+    assert set(found[0].steps.state[:, 0].tolist()) == {SLIP, SEPARATION}  # the stop
+    own, other = (one.slope for one in found)
+    np.testing.assert_allclose(own, other, rtol=0, atol=1e-5 * np.abs(other).max())

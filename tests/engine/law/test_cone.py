@@ -204,3 +204,17 @@ def test_the_stored_energy_is_the_work_of_the_normal_load(preload: float, v: flo
     work = np.trapezoid(np.maximum(preload + 20 * path, 0.0) - max(preload, 0.0), path)
     motion, slip = np.array([[0.0, 0.0, v]]), np.zeros((1, 2))
     assert sum(ConeLaw.stored_energy(stop, motion, slip, np.array([SLIP])))[0] == pytest.approx(work, abs=1e-8)
+
+
+@pytest.mark.parametrize("stiffness", [np.eye(2), np.array([[2.0, 0.5], [0.5, 1.0]])], ids=["isotropic", "full"])
+@pytest.mark.parametrize("du", [0.0, 0.3])
+def test_the_angle_of_a_contact_without_a_force_has_a_derivative(stiffness: np.ndarray, du: float):
+    """Apart, or never moved along its plane: what its direction is does not matter, but that it is a number does."""
+    own = both_forms(law(stiffness))[int(stiffness[0, 0] == stiffness[1, 1])]
+
+    def angles(values: jax.Array) -> jax.Array:
+        u, w, du = (tuple(values[i : i + 2].reshape(2, 1)) for i in (0, 2, 4))
+        return own.inner(jnp.asarray([STICK, SLIP, SEPARATION]), Motion(u, values[6:7], du, values[7:8]), w)
+
+    at = jnp.asarray([0.1, 0.2, 0.1, 0.2, du, 0.0, -1.0, 0.1])
+    assert np.isfinite(jax.jit(jax.jacfwd(angles))(at)).all()

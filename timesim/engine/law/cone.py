@@ -251,16 +251,15 @@ def slip_direction(
     law: ConeLaw, motion: Motion, w: Plane, slips: Bool[Array, "*#contact"] | bool, iterations: int = 1
 ) -> Plane:
     """Unit vector e along which a contact slips, any vector of the others; ``iterations`` of `incipient_direction`."""
-    trial = product(law.stiffness, minus(motion.u, w))
-    n = normal_load(law, motion.v)
+    trial, n = product(law.stiffness, minus(motion.u, w)), normal_load(law, motion.v)
     size = length(trial)
     off_cone = jnp.abs(size - law.friction * jnp.abs(n))
     directed = size > UNDIRECTED * off_cone + FORCE_FLOOR
+    # Normalised after the choice: without a length the derivative would not be finite, whether it matters or not.
+    chosen = where(directed, scaled(jnp.where(n < 0, -1.0, 1.0), trial), motion.du)
+    along = scaled(1 / length(chosen), chosen)
     if len(law.stiffness) == 1:
-        # The incipient direction is that of u': normalising after the choice saves a root and a division.
-        chosen = where(directed, scaled(jnp.where(n < 0, -1.0, 1.0), trial), motion.du)
-        return scaled(1 / length(chosen), chosen)
-    along = scaled(jnp.where(n < 0, -1.0, 1.0) / size, trial)
+        return along  # the incipient direction is that of u'
 
     def with_incipient() -> Plane:
         return where(directed, along, incipient_direction(law, motion, iterations))

@@ -42,8 +42,9 @@ class Turning(NamedTuple):
 
 
 def angle_of(e: Plane) -> Scalar:
-    """Angle of a direction; of straight motion, 0 or pi."""
-    return jnp.arctan2(e[1] if len(e) == 2 else jnp.zeros_like(e[0]), e[0])
+    """Angle of a direction; of straight motion, 0 or pi. That of none is 0, and its derivative finite."""
+    sine = e[1] if len(e) == 2 else jnp.zeros_like(e[0])
+    return jnp.arctan2(sine, jnp.where((e[0] == 0) & (sine == 0), 1.0, e[0]))
 
 
 @partial(apart, static=(1,))
