@@ -56,7 +56,8 @@ def test_a_run_is_what_it_is_without_them(
     own = simulate(model, 5, solver)
     assert found.sequence == own.sequence
     assert len(own.sequence) > 5
-    assert found.num_steps == own.num_steps
+    # By rounding, a step of collocation may be tried once more.
+    assert abs(found.num_steps - own.num_steps) <= (method == "exponential")
     np.testing.assert_allclose(found.motion, own.motion, rtol=0, atol=ROUNDING * np.abs(own.motion).max())
     np.testing.assert_allclose(found.amplitude, own.amplitude, rtol=0, atol=ROUNDING * own.amplitude.max())
     work = np.array([total.totals.work for total in (found, own)])
