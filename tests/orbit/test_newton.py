@@ -9,7 +9,18 @@ import pytest
 from timesim.model.model import SEPARATION, STICK
 from timesim.orbit.lane import Recorded
 from timesim.orbit.shooting import Converged, Failure, Shot, iterated
-from timesim.orbit.threshold import FINEST, MOST_SHOTS, NOISY, REACH, SHORTER, SHORTEST_SHARE, UNSTABLE, VAGUE
+from timesim.orbit.threshold import (
+    FEW_IDLE,
+    FINEST,
+    MOST_IDLE,
+    MOST_SHOTS,
+    NOISY,
+    REACH,
+    SHORTER,
+    SHORTEST_SHARE,
+    UNSTABLE,
+    VAGUE,
+)
 
 pytestmark = pytest.mark.long
 
@@ -198,6 +209,38 @@ def test_it_does_not_go_on_for_ever():
     recorded = cycle(start, turning(0.5))
     assert isinstance(iterated(Shot(start, count=MOST_SHOTS - 1), recorded, TOLERANCE), Shot)
     assert iterated(Shot(start, count=MOST_SHOTS), recorded, TOLERANCE) is Failure.ASTRAY
+
+
+@pytest.mark.parametrize(("period", "most"), [(1, MOST_IDLE), (2, FEW_IDLE), (64, FEW_IDLE)])
+def test_it_is_given_up_where_it_comes_no_nearer(period, most):
+    """For so many cycles; a step that is left by less than half is clearly nearer."""
+    start = near(0.01)
+    recorded = cycle(start, turning(0.5))
+    left = np.abs(recorded.newton_step(recorded.change)).max() / start.size
+
+    def after(idle, nearest):
+        return iterated(Shot(start, period, nearest=nearest * left, idle=idle, count=9), recorded, TOLERANCE)
+
+    assert after(most - 1, 1.9) is Failure.ASTRAY
+    goes_on, nearer = after(most - 2, 1.9), after(most - 1, 2.1)
+    assert (goes_on.idle, goes_on.nearest) == (most - 1, 1.9 * left)
+    assert (nearer.idle, nearer.nearest) == (0, left)
+
+
+def test_a_cycle_that_does_not_close_comes_no_nearer():
+    start, before = near(0.01), cycle(near(0.02), turning(0.5))
+    shot, odd = Shot(start, before=before, idle=MOST_IDLE - 2), cycle(start, turning(0.5), complete=False)
+    led_to = iterated(shot, odd, TOLERANCE)
+    assert isinstance(led_to, Shot)
+    assert iterated(replace(shot, idle=MOST_IDLE - 1), odd, TOLERANCE) is Failure.ASTRAY
+
+
+def test_finer_steps_begin_anew():
+    """What came no nearer for the noise of the steps was no fault of the iteration."""
+    before, here = cycle(near(2e-7), np.diag([0.999, 0.1])), near(1e-7)
+    led_to = iterated(Shot(here, before=before, idle=3, nearest=1e-9), cycle(here, np.diag([0.999, 0.1])), 1e-9)
+    assert isinstance(led_to, Shot)
+    assert (led_to.lane.control.rtol < RTOL, led_to.idle) == (True, 0)
 
 
 def at_rest_in_noise(rtol, slope, noise):

@@ -50,6 +50,8 @@ class Shot:
         before: the period shot from the iterate before; None at the first.
         share: of the step from there that has led here.
         count: of the iterations before.
+        nearest: shortest step, relative to the state, that any of them has left.
+        idle: iterations since one has left a clearly shorter step than all before.
         leaves: whether it began where a march moves away, slowly.
     """
 
@@ -59,7 +61,15 @@ class Shot:
     before: Recorded | None = None
     share: float = 1.0
     count: int = 0
+    nearest: float = np.inf
+    idle: int = 0
     leaves: bool = False
+
+    @property
+    def in_vain(self) -> bool:
+        """Whether it is worth no further iteration: a march of as long would come nearer."""
+        most = max(threshold.FEW_IDLE, threshold.MOST_IDLE / self.period)
+        return self.count >= threshold.MOST_SHOTS or self.idle >= most
 
 
 def iterated(shot: Shot, recorded: Recorded, tolerance: float) -> Shot | Converged | Failure:
@@ -70,18 +80,19 @@ def iterated(shot: Shot, recorded: Recorded, tolerance: float) -> Shot | Converg
     if shot.held:
         return Converged(0.0) if recorded.is_held else Failure.ASTRAY
     if not recorded.closes:
-        return _shorter(shot)
+        return _shorter(_compared(shot, np.inf))
     step, size = recorded.newton_step(recorded.change), shot.lane.size
     left, change = largest(step) / size, largest(recorded.change - recorded.drift) / size
     if shot.count == 0 and change < threshold.NEARLY_REPEATS and recorded.is_unstable:
         shot = replace(shot, leaves=True)
     if left < tolerance:
         return _ended(shot, recorded, left)
+    shot = _compared(shot, left)
     closer, rtol = _led_closer(shot, recorded), float(shot.lane.control.rtol)
     noisy = shot.before is not None and closer > threshold.QUICK and change < threshold.NOISY * rtol
     if noisy and rtol > threshold.FINEST:
         finer = max(threshold.FINEST, min(threshold.FINER * rtol, threshold.FINER * tolerance * change / left))
-        return _counted(replace(shot, lane=shot.lane.within(finer), before=None))
+        return _counted(replace(shot, lane=shot.lane.within(finer), before=None, idle=0))
     if noisy:
         return _ended(shot, recorded, left) if left < threshold.VAGUE else Failure.ASTRAY
     if closer > 1 - shot.share / 4:
@@ -120,8 +131,15 @@ def _moved(shot: Shot, step: np.ndarray) -> Shot | Failure:
     return Failure.ASTRAY
 
 
+def _compared(shot: Shot, left: float) -> Shot:
+    """An iterate that leaves a step of some size, relative to the state, beside those before."""
+    if left < threshold.CLEARLY_NEARER * shot.nearest:
+        return replace(shot, nearest=left, idle=0)
+    return replace(shot, idle=shot.idle + 1)
+
+
 def _counted(shot: Shot) -> Shot | Failure:
-    return replace(shot, count=shot.count + 1) if shot.count < threshold.MOST_SHOTS else Failure.ASTRAY
+    return Failure.ASTRAY if shot.in_vain else replace(shot, count=shot.count + 1)
 
 
 def _ended(shot: Shot, recorded: Recorded, left: float) -> Shot | Converged | Failure:
