@@ -45,9 +45,9 @@ def test_settled_amplitudes(orbits):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("cycles", [700, 1150])
+@pytest.mark.parametrize("cycles", [700, 980])
 def test_a_decay_that_takes_its_time_is_not_called_irregular(cycles):
-    """It settles after 1,165 cycles. At 700 free vibrations have decayed to 3 %; at 1,150 nothing touches any more."""
+    """It settles after 994 cycles. At 700 free vibrations have decayed to 3 %; at 980 nothing touches any more."""
     modes = [{"frequency": 12.5, "damping_ratio": 0.001, "mass": 0.02, "shape": {"mid": [0, 1, 0]}}]
     modes += [{"frequency": 49, "damping_ratio": 0.001, "mass": 0.02, "shape": {"mid": [0, 0.6, 0.2]}}]
     stop = {"name": "up", "point": "mid", "normal": [0, 1, 0], "friction": 0.2, "tangential_stiffness": 15}
