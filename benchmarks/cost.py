@@ -1,10 +1,10 @@
 """How long do a step, a cycle and a solution take, by the numbers of modes and contacts?
 
 Run `python benchmarks/cost.py`. Generated structures whose contacts stick and slip: steps a cycle at each accuracy, and
-microseconds a step, of a run that is recorded and of one of sixteen side by side, compiled before; milliseconds of a
-cycle with the derivative of its end by its start, as Newton's method and the measure of a settled motion take it. CPU
-seconds beside wall seconds, since other jobs may share the machine. The rows stand in `timesim/model/cost.py`, from
-which `timesim check` estimates what a scene will take.
+microseconds a step, of a run that is recorded and of one that is marched, as to a steady state, compiled before;
+milliseconds of a cycle with the derivative of its end by its start, as Newton's method and the measure of a settled
+motion take it. CPU seconds beside wall seconds, since other jobs may share the machine. The rows stand in
+`timesim/model/cost.py`, from which `timesim check` estimates what a scene will take.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from timesim.orbit.batch import march_lanes, record
 from timesim.orbit.settling import Chain, first_lane
 
 SIZES = ((2, 1), (10, 1), (10, 4), (30, 1), (30, 4), (50, 10))
-CYCLES, LANES, REPEATS = 20, 16, 3
+CYCLES, REPEATS = 20, 3
 FREQUENCY = 1.3
 
 
@@ -52,27 +52,25 @@ def recorded(model: Model, accuracy: str) -> tuple[float, float, float]:
     return steps / CYCLES, 1e6 * best[0] / steps, 1e6 * best[1] / steps
 
 
-def side_by_side(model: Model, accuracy: str, steps: float) -> tuple[float, float]:
-    """Wall and CPU microseconds a step and lane of a march of many lanes."""
-    lanes = [first_lane(Chain(model, (FREQUENCY,)), PRESETS[accuracy])] * LANES
-    best = (np.inf, np.inf)
+def marched(model: Model, accuracy: str, steps: float) -> tuple[float, float]:
+    """Wall and CPU microseconds a step of a march."""
+    lane, best = first_lane(Chain(model, (FREQUENCY,)), PRESETS[accuracy]), (np.inf, np.inf)
     for _ in range(REPEATS + 1):
         wall, cpu = time.perf_counter(), time.process_time()
-        march_lanes(lanes, PRESETS[accuracy], CYCLES, size=LANES)
+        march_lanes([lane], PRESETS[accuracy], CYCLES)
         best = min(best, (time.perf_counter() - wall, time.process_time() - cpu))
-    number = steps * CYCLES * LANES
+    number = steps * CYCLES
     return 1e6 * best[0] / number, 1e6 * best[1] / number
 
 
 def differentiated(model: Model, accuracy: str) -> tuple[float, float]:
-    """Wall and CPU milliseconds of a cycle with its derivative, of one of many lanes."""
-    lanes = [first_lane(Chain(model, (FREQUENCY,)), PRESETS[accuracy])] * LANES
-    best = (np.inf, np.inf)
+    """Wall and CPU milliseconds of a cycle with its derivative."""
+    lane, best = first_lane(Chain(model, (FREQUENCY,)), PRESETS[accuracy]), (np.inf, np.inf)
     for _ in range(REPEATS + 1):
         wall, cpu = time.perf_counter(), time.process_time()
-        record(lanes, PRESETS[accuracy], [1] * LANES)
+        record([lane], PRESETS[accuracy], [1])
         best = min(best, (time.perf_counter() - wall, time.process_time() - cpu))
-    return 1e3 * best[0] / LANES, 1e3 * best[1] / LANES
+    return 1e3 * best[0], 1e3 * best[1]
 
 
 def main() -> None:
@@ -80,14 +78,14 @@ def main() -> None:
     parser.add_argument("--accuracy", nargs="+", default=["standard"], choices=list(PRESETS))
     parser.add_argument("--sizes", nargs="+", metavar="MxC", default=[f"{m}x{c}" for m, c in SIZES])
     options = parser.parse_args()
-    times = "µs a step, recorded (CPU) | side by side (CPU) | ms a cycle with its derivative (CPU)"
+    times = "µs a step, recorded (CPU) | marched (CPU) | ms a cycle with its derivative (CPU)"
     print(f"| modes | contacts | accuracy | steps a cycle | {times} |")
     print("|---|---|---|---|---|---|---|")
     for num_modes, num_contacts in (map(int, size.split("x")) for size in options.sizes):
         model = structure(num_modes, num_contacts)
         for accuracy in options.accuracy:
             steps, wall, cpu = recorded(model, accuracy)
-            other, other_cpu = side_by_side(model, accuracy, steps)
+            other, other_cpu = marched(model, accuracy, steps)
             times = f"{wall:.3g} ({cpu:.3g}) | {other:.3g} ({other_cpu:.3g})"
             times += " | {:.2g} ({:.2g})".format(*differentiated(model, accuracy))
             print(f"| {num_modes} | {num_contacts} | {accuracy} | {steps:.0f} | {times} |", flush=True)

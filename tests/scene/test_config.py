@@ -1393,7 +1393,7 @@ def test_cycles_with_their_derivatives_take_far_longer():
     """With 12 modes and 2 contacts as long as some twenty others: Newton's method is quicker, but not free."""
     scene = load_scene(CONFIGS / "blade_response.yaml")
     model, solver = scene.model(), scene.solver()
-    marched = seconds_a_cycle(model, solver, 725.0, 16)
+    marched = seconds_a_cycle(model, solver, 725.0, marched=True)
     assert 20 < (seconds_a_derivative(model, solver, 725.0) - 0.002) / marched < 25
     assert "of 256 cycles of" in describe(scene)["cost"][0]
     eight = 9 * seconds_a_derivative(model, solver, 725.0) + 0.002

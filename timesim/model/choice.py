@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from timesim.model.cost import SLIPPING, Work, one_by_one, seconds, slip_steps, slip_stiff, stable_steps
+from timesim.model.cost import SLIPPING, Work, seconds, slip_steps, slip_stiff, stable_steps
 from timesim.model.model import Model
 from timesim.model.promise import PROMISE, preset, tightened
 from timesim.model.reduction import reduction_of
@@ -30,7 +30,6 @@ class Line:
         share: of the time that the preset's own method takes, in one run and in a sweep.
         compiling: CPU seconds that its programs take longer to compile, for one run and for a sweep.
         slippery: only where the direction of slip turns fast (`timesim.model.cost.slip_stiff`).
-        one_by_one: only where trajectories go one after the other (`timesim.model.cost.one_by_one`).
         passive: least ratio of the fastest rate of the stuck structure to what is none of its own motion by modes: that
             of its contacts (`contact_rate`), and of damping between the modes.
         fast: least ratio of the fastest rate of the stuck structure to the excitation's.
@@ -44,7 +43,6 @@ class Line:
     share: tuple[float, float]
     compiling: tuple[float, float]
     slippery: bool = False
-    one_by_one: bool = False
     passive: float = 0.0
     fast: float = 0.0
     dashpots: float = 0.0
@@ -52,7 +50,7 @@ class Line:
 
     def applies(self, model: Model, frequency: float) -> bool:
         """Whether it does by the rates of a model at a frequency [Hz]."""
-        if (self.slippery and not slip_stiff(model, frequency)) or (self.one_by_one and not one_by_one(model)):
+        if self.slippery and not slip_stiff(model, frequency):
             return False
         if self.dashpots and model.coupling_rate < self.dashpots * model.stuck_omega[-1]:
             return False
@@ -69,14 +67,15 @@ def contact_rate(model: Model) -> float:
 # 4 x 2: 110, 90, 410, 180 and 160, 130, 510, 230 against 220, 120, 520, 250 and 430, 230, 1,180, 390 by tsit5;
 # 8 x 3: 530, 490, 560, 90 and 710, 730, 960, 120 against 810, 870, 520, 100 and 1,410, 1,790, 850, 190; contacts
 # 1e4 times stiffer or a mode at 1,000 times: two fifths. The oscillator, hardly faster than it is driven: 76, 63,
-# 44 and 87, 78, 44 against 60, 39, 30 and 75, 61, 43. Sixteen side by side: 33 and 41 against 36 and 58. A run
-# compiles 0.1 to 0.8 s longer than by tsit5, a sweep 2.5 to 6 (benchmarks/compile_time.py), one that shoots to 9.
+# 44 and 87, 78, 44 against 60, 39, 30 and 75, 61, 43. Sweeps of twelve structures of tests/zoo.py, 2 x 1 to 8 x 3: 0.66
+# to 1.02 of the time of tsit5, in the middle 0.86. A run compiles 0.1 to 0.8 s longer than by tsit5, a sweep from 0.6 s
+# less to 1.5 s more (benchmarks/compile_time.py).
 DOPRI8 = Line(
     method="dopri8",
     why="of order 8, it takes about half of the time of tsit5 where the structure is faster than its excitation",
     accuracies=("draft", "standard"),
-    share=(0.6, 0.8),
-    compiling=(2.0, 10.0),
+    share=(0.6, 0.85),
+    compiling=(2.0, 2.0),
     fast=1.5,
 )
 TABLE = (
@@ -109,7 +108,8 @@ TABLE = (
     # tsit5, 820 and 1,060 by dopri8; 50 x 10 2,670 and 2,680 against 2,140 and 3,790, 2,550 and 3,570; the blade with
     # 24 modes 1,630 and 4,180 against 5,950 and 8,130, 2,880 and 3,460. Where contacts are as stiff as the fastest
     # modes (a ratio of 1 to 4) dopri8 takes a half to a quarter of it: 50 x 10, generated, 2,100 and 2,970 against
-    # 8,180 and 11,700. In a sweep explicit lanes side by side gain as much, and its derivative takes twelve sweeps.
+    # 8,180 and 11,700. In a sweep the derivatives of its cycles take longer than its steps save: three points of
+    # tests/data/many_modes.yaml, 5.5 s against 3.0.
     Line(
         method="exponential",
         why="the structure is far faster than its contacts, and its own motion needs no steps",
@@ -119,10 +119,6 @@ TABLE = (
         passive=6.0,
         fast=10.0,
     ),
-    # Where trajectories go one after the other, a sweep gains as a run does: of the blade with 12 modes 13 s of CPU
-    # against 18 on a second run, 8 x 3 4.0 and 4.8 against 4.9 and 5.2. It compiles 0 to 0.3 s longer than by tsit5, a
-    # sweep from 7 s less to 6 s more, in the middle 1.
-    replace(DOPRI8, one_by_one=True, share=(0.6, 0.75), compiling=(1.0, 1.0)),
     DOPRI8,
 )
 
@@ -149,19 +145,18 @@ def choice(accuracy: str, model: Model, work: Work, budget: int, *, reduce: bool
     """
     frequencies = [frequency for frequency, _ in work.phases]
     own, frequency = preset(accuracy, model, work.lowest, work.run_cycles), float(np.mean(frequencies))
-    if work.side_by_side is None and not reduction_of(model, frequencies, reduce=reduce).live.size:
+    if not work.sweep and not reduction_of(model, frequencies, reduce=reduce).live.size:
         if stable_steps(model, work.lowest) > budget:
             return Choice(replace(own, name="exponential"), UNSEEN)
         left = BETWEEN * PROMISE[accuracy]
         return Choice(Solver(CLOSED_FORM, left, left / 100), LINEAR)
-    sweep = work.side_by_side is not None
     hopeless = max(stable_steps(model, frequency), SLIPPING * slip_steps(model, frequency)) > budget
     lines = [line for line in TABLE if accuracy in line.accuracies and line.applies(model, frequency)]
     # A line that saves nothing in a sweep leaves it to the next, unless explicit steps would run out.
-    line = next((line for line in lines if line.share[sweep] < 1 or hopeless), None)
+    line = next((line for line in lines if line.share[work.sweep] < 1 or hopeless), None)
     if line is None or line.method == own.name:
         return Choice(own, f"the method of accuracy {accuracy}, no other being much quicker on such a structure")
-    saved, compiling = (1 - line.share[sweep]) * seconds(model, own, work), line.compiling[sweep]
+    saved, compiling = (1 - line.share[work.sweep]) * seconds(model, own, work), line.compiling[work.sweep]
     if saved <= compiling and not (hopeless and line.method in ("exponential", "kvaerno5")):
         shorter = f"{line.method} would save about {saved:.1g} s and take {compiling:g} s longer to compile"
         return Choice(own, f"the method of accuracy {accuracy}, since {shorter}")

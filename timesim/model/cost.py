@@ -25,13 +25,11 @@ STABLE = STEPS["draft"][1]
 """Fewest steps for each one that stability asks for, by any tolerance.
 
 By dopri8 at rtol 2.9e-9 on a six-mode beam, 115 times as fast as its excitation, up to 2.8; by the tolerance 3.5."""
-RECORDED, SIDE_BY_SIDE = (1.7, 0.65), (0.25, 0.5)
+RECORDED, MARCHED = (1.7, 0.65), (0.25, 0.5)
 """Microseconds of a step of tsit5, and for the root of the number of modes times contacts: of a run that is recorded,
-of one of sixteen."""
-ALONE = 2.8
-"""Work of a step of one that is alone and not recorded, as a multiple of that of one of sixteen."""
+of one that is marched to a steady state."""
 WIDE = 20
-"""Modes times contacts from which on trajectories go one after the other, and each takes what one of sixteen does."""
+"""Modes times contacts from which on the stages of an explicit step are turns of a loop, which compiles for less."""
 FOLLOWED = 40
 """Steps of a cycle by which a motion in closed form is recorded."""
 STAGES = {
@@ -55,8 +53,6 @@ LITTLE_FRICTION = 0.05
 """Coefficient up to which it does where the load varies; with more a contact is mostly apart or sticks."""
 SLIPPING = 0.4
 """Steps that the direction of slip is seen to take, as a share of those that it asks for at its fastest."""
-FEW, MANY = 2, 16
-"""Points that a sweep marches side by side where the motion is carried along, and where it is not."""
 SETTLING = 0.002
 """Seconds of a steady state beside its cycles: what is left out, amplitudes, multipliers."""
 DERIVATIVE = (0.002, 0.8)
@@ -74,13 +70,13 @@ class Work:
     Attributes:
         phases: frequencies [Hz], and how many cycles at each; of a sweep its mean, and the cycles of all points.
         lowest: of all frequencies.
-        side_by_side: points of a sweep that are marched together; None: it is one run, and recorded.
+        sweep: whether it is marched to steady states; else it is one run, and recorded.
         again: time that it takes as a multiple of that of its cycles, a second run being made to estimate its error.
     """
 
     phases: tuple[tuple[float, float], ...]
     lowest: float
-    side_by_side: int | None = None
+    sweep: bool = False
     again: float = 1.0
 
     @classmethod
@@ -91,12 +87,7 @@ class Work:
     @property
     def run_cycles(self) -> float | None:
         """Cycles of a run; None where it goes on until it is steady."""
-        return sum(cycles for _, cycles in self.phases) if self.side_by_side is None else None
-
-
-def one_by_one(model: Model) -> bool:
-    """Whether trajectories are marched one after the other, and not side by side."""
-    return model.structure.num_modes * model.num_contacts > WIDE
+        return None if self.sweep else sum(cycles for _, cycles in self.phases)
 
 
 def stable_steps(model: Model, frequency: float) -> float:
@@ -194,8 +185,8 @@ def steps_for(solver: Solver) -> tuple[float, float]:
     return finer * STEPS[near][0], max(finer * STEPS[near][1], STABLE)
 
 
-def seconds_a_cycle(model: Model, solver: Solver, frequency: float, side_by_side: int | None = None) -> float:
-    """Of a cycle at a frequency [Hz]: of one of several that are marched side by side; None: of one run, recorded."""
+def seconds_a_cycle(model: Model, solver: Solver, frequency: float, *, marched: bool = False) -> float:
+    """Of a cycle at a frequency [Hz], marched to a steady state or of a run that is recorded."""
     steps = 2 * np.pi / solver.longest
     if solver.name == CLOSED_FORM:
         steps = FOLLOWED
@@ -204,23 +195,21 @@ def seconds_a_cycle(model: Model, solver: Solver, frequency: float, side_by_side
         asked = float(model.stuck_omega[-1]) if solver.name == "kvaerno5" else model.stuck_rate
         steps = least + multiple * asked / (REACH * frequency)
         steps = max(steps, SLIPPING * slip_steps(model, frequency) * (solver.name != "exponential"))
-    each, share = RECORDED if side_by_side is None else SIDE_BY_SIDE
-    size, alone = model.structure.num_modes * model.num_contacts, 1.0
-    if side_by_side is not None and not one_by_one(model):
-        alone = max(1.0, ALONE ** (1 - np.log(side_by_side) / np.log(16)))
-    return float(1e-6 * STAGES[solver.name] * alone * steps * (each + share * np.sqrt(size)))
+    each, share = MARCHED if marched else RECORDED
+    size = model.structure.num_modes * model.num_contacts
+    return float(1e-6 * STAGES[solver.name] * steps * (each + share * np.sqrt(size)))
 
 
 def seconds_a_derivative(model: Model, solver: Solver, frequency: float) -> float:
     """Of a cycle at a frequency [Hz] with the derivative of its end by its start, as it is shot or measured."""
     least, share = DERIVATIVE
     states = 2 * (model.structure.num_modes + model.num_contacts)
-    return least + share * states * seconds_a_cycle(model, solver, frequency, MANY)
+    return least + share * states * seconds_a_cycle(model, solver, frequency, marched=True)
 
 
 def seconds(model: Model, solver: Solver, work: Work) -> float:
     """Of all cycles."""
-    each = (cycles * seconds_a_cycle(model, solver, f, work.side_by_side) for f, cycles in work.phases)
+    each = (cycles * seconds_a_cycle(model, solver, f, marched=work.sweep) for f, cycles in work.phases)
     return work.again * sum(each)
 
 

@@ -1,7 +1,7 @@
-"""Trajectories through whole cycles: marched side by side, the state at each cycle's end kept, or recorded by itself.
+"""Trajectories through whole cycles: marched, the state at each cycle's end kept, or recorded, with the derivative.
 
-A trajectory starts each cycle from its state alone (the step control forgets at a cycle's end), so its cycles do not
-depend on its neighbours.
+Each goes by itself: side by side, four of two modes and a contact take as long as two, of more modes or contacts as
+four, and compile for three times as long.
 """
 
 from timesim.runtime import with_parts  # isort: skip
@@ -9,7 +9,7 @@ from timesim.runtime import with_parts  # isort: skip
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import chain, pairwise
+from itertools import pairwise
 from typing import Any, TypeVar
 
 import jax
@@ -17,9 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from timesim.engine.event_loop import advance, alone, begun, capacity, first_rows, one_by_one, unfinished
+from timesim.engine.event_loop import advance, alone, begun, capacity, first_rows, unfinished
 from timesim.engine.exponential.work import energy_lost
-from timesim.engine.lanes import Over, advance_lanes, batch_first, batch_last, by_itself, over_lanes
+from timesim.engine.lanes import advance_lanes
 from timesim.engine.method import Explicit, Method, step_method
 from timesim.engine.solver import Control
 from timesim.engine.step import Step, Trajectory, begin, try_step
@@ -29,68 +29,45 @@ from timesim.orbit.lane import Lane, Recorded
 from timesim.orbit.monodromy import LOST, MANY, Disturbed, HybridState, derivative, error_of, linear, state_vector
 from timesim.program import program
 
-SIDE_BY_SIDE = 4  # lanes of a batch: of 16 each takes as long; a batch that is not full is filled up
-CAPACITY = 256  # steps of one call that records, at most
-PIECE = 32  # most steps whose derivative is one piece of work: 16 of them take longer than to prepare them
+CAPACITY = 1024  # steps of one call that records, at most
+PIECE = 128  # most steps whose derivative is one piece of work: to prepare them takes a quarter as long
 
 Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
-"""Does the same work on each of several batches, in their order, as `map` does; threads may share them."""
+"""Does the same work on each of several lanes or pieces, in their order, as `map` does; threads may share them."""
 
 ENDS = ("start", "start_rate", "end", "end_rate")
 """Entries of a step that are points."""
 T = TypeVar("T", Trajectory, Step)
 
-Problem = tuple[Control, System, Any]
-"""Of one trajectory or of a batch: control, system, and where it goes on from."""
-
 
 @program
 def march_cycles(
-    method: Method, controls: Control, systems: System, starts: HybridState, num_cycles: int
-) -> tuple[Trajectory, Float[Array, "batch cycle state"]]:
-    """March a batch by a number of cycles, all batch first.
-
-    Returns the trajectories, and `state_vector` at the end of each cycle, 0 for cycles not reached.
-    """
-    problem = (controls, systems, starts)
-    if one_by_one(method, systems, systems.phase.size):
-
-        def march_one(lane: Problem) -> tuple[Trajectory, Array]:
-            control, system, start = lane
-            return _marched(method, (control, alone(method, control, system), start), num_cycles, by_itself)
-
-        return jax.lax.map(march_one, problem)
-    end, returns = _marched(method, batch_last(problem), num_cycles, over_lanes)
-    return batch_first(end), jnp.moveaxis(returns, -1, 0)
-
-
-def _marched(method: Method, problem: Problem, num_cycles: int, over: Over) -> tuple[Trajectory, Array]:
-    """`march_cycles` with the batch last, or of one trajectory."""
-    controls, systems, starts = problem
-    now = over(begin)(systems, starts.point, starts.state, controls.opening)
-    attempt = partial(over(partial(try_step, method)), controls, systems)
-    vectors = over(lambda now: state_vector(now.point, now.state))
-    row = jnp.arange(num_cycles).reshape(-1, *(1 for _ in now.cycle.shape))
+    method: Method, control: Control, system: System, start: HybridState, num_cycles: int
+) -> tuple[Trajectory, Float[Array, "cycle state"]]:
+    """March by a number of cycles: the trajectory, and `state_vector` at the end of each, 0 for cycles not reached."""
+    system = alone(method, control, system)
+    now, row = begin(system, start.point, start.state, control.opening), jnp.arange(num_cycles)
 
     def keep(returns: Array, _: Array, before: Trajectory, after: Trajectory, *step: Any) -> Array:
         ended = (row == before.cycle) & (after.cycle > before.cycle)
-        return jnp.where(ended[:, None], vectors(after), returns)
+        return jnp.where(ended[:, None], state_vector(after.point, after.state), returns)
 
-    returns = jnp.zeros((num_cycles, *vectors(now).shape))
+    returns = jnp.zeros((num_cycles, state_vector(now.point, now.state).size))
+    attempt = partial(try_step, method, control, system)
     return advance_lanes(attempt, partial(unfinished, cycles=num_cycles), now, returns, keep)
 
 
 def march_lanes(
-    lanes: Sequence[Lane], solver: Solver, num_cycles: int, *, size: int = SIDE_BY_SIDE, each: Each = map
+    lanes: Sequence[Lane], solver: Solver, num_cycles: int, *, each: Each = map
 ) -> list[tuple[Lane, np.ndarray]]:
     """March lanes by a number of cycles: each at the end, and its state vector at the end of each completed cycle."""
+    method = step_method(solver)
 
-    def marched(batch: list[Lane]) -> list[tuple[Lane, np.ndarray]]:
-        problem: Problem = _stacked([(lane.control, lane.system, lane.here) for lane in _padded(batch, size)])
-        now, returns = _on_host(march_cycles(step_method(solver), *problem, num_cycles))
-        return [(lane.after(_entry(now, i)), returns[i, : now.cycle[i]]) for i, lane in enumerate(batch)]
+    def marched(lane: Lane) -> tuple[Lane, np.ndarray]:
+        now, returns = _on_host(march_cycles(method, lane.control, lane.system, lane.here, num_cycles))
+        return lane.after(now), returns[: now.cycle]
 
-    return list(chain.from_iterable(each(marched, _batches(lanes, size))))
+    return list(each(marched, lanes))
 
 
 def record(
@@ -179,7 +156,7 @@ def _slope_of_explicit(method: Explicit, own: tuple[Lane, Step]) -> np.ndarray:
 
 
 def _slopes_in_pieces(lanes: Sequence[Lane], method: Method, steps: Sequence[Step], each: Each) -> list[np.ndarray]:
-    """The same of lanes whose steps are cut into pieces, some side by side: no lane waits for a longer one."""
+    """The same of lanes whose steps are cut into pieces, which threads share."""
     slopes = [np.eye(lane.vector.size) for lane in lanes]
     pieces = []
     for index, own in enumerate(steps):
@@ -187,40 +164,19 @@ def _slopes_in_pieces(lanes: Sequence[Lane], method: Method, steps: Sequence[Ste
         ends = [k * own.h.size // num for k in range(num + 1)] if num else []
         pieces += [(index, first, end) for first, end in pairwise(ends)]
 
-    def products(batch: list[tuple[int, int, int]]) -> np.ndarray:
-        padded = _padded(batch)
-        rows = [_entry(steps[i], slice(first, end)) for i, first, end in padded]
-        count, opens = np.array([[end - first, first == 0] for _, first, end in padded]).T
-        systems = _stacked([lanes[i].system for i, _, _ in padded])
-        return np.asarray(derivative(method, systems, jax.tree.map(_columns, *rows), count, opens.astype(bool)))
+    def product(piece: tuple[int, int, int]) -> np.ndarray:
+        index, first, end = piece
+        rows = jax.tree.map(_filled, _entry(steps[index], slice(first, end)))
+        return np.asarray(derivative(method, lanes[index].system, rows, np.array(end - first), np.array(first == 0)))
 
-    batches = _batches(pieces)
-    for batch, found in zip(batches, each(products, batches), strict=True):
-        for (i, _, _), product in zip(batch, found, strict=False):
-            slopes[i] = product @ slopes[i]
+    for (index, _, _), found in zip(pieces, each(product, pieces), strict=True):
+        slopes[index] = found @ slopes[index]
     return slopes
 
 
-def _columns(*pieces: np.ndarray) -> np.ndarray:
-    """Pieces side by side, the batch last, with empty rows up to the length of a piece."""
-    whole = np.zeros((PIECE, *pieces[0].shape[1:], len(pieces)), pieces[0].dtype)
-    for index, rows in enumerate(pieces):
-        whole[: len(rows), ..., index] = rows
-    return whole
-
-
-def _batches(lanes: Sequence[Any], size: int = SIDE_BY_SIDE) -> list[list[Any]]:
-    return [list(lanes[first : first + size]) for first in range(0, len(lanes), size)]
-
-
-def _padded(batch: list[Any], size: int = SIDE_BY_SIDE) -> list[Any]:
-    """A batch with its first entry repeated until it has its size."""
-    return [*batch, *batch[:1] * (size - len(batch))]
-
-
-def _stacked(trees: Sequence[Any]) -> Any:
-    """Trees of one structure as one, batch first."""
-    return jax.tree.map(lambda *rows: np.array(rows), *trees)
+def _filled(rows: np.ndarray) -> np.ndarray:
+    """Rows, with empty ones up to the length of a piece."""
+    return np.concatenate([rows, np.zeros((PIECE - len(rows), *rows.shape[1:]), rows.dtype)])
 
 
 def _entry(tree: Any, index: int | slice | np.ndarray) -> Any:

@@ -1,4 +1,4 @@
-"""Steady states of many scenes side by side, by marching until the motion repeats, or by shooting.
+"""Steady states of many scenes at a time, by marching until the motion repeats, or by shooting.
 
 Searches that are done make room for others. The next task of a search depends on that search alone, so the order and
 the company do not matter.
@@ -14,7 +14,7 @@ from timesim.model.model import Model
 from timesim.model.reduction import reduction_of
 from timesim.model.solver import Criterion, Solver
 from timesim.orbit import threshold
-from timesim.orbit.batch import SIDE_BY_SIDE, Each, march_lanes, record
+from timesim.orbit.batch import Each, march_lanes, record
 from timesim.orbit.lane import Lane
 from timesim.orbit.linear import linear_orbit
 from timesim.orbit.search import Search, Task, after_march, after_measure, after_shot
@@ -81,7 +81,7 @@ def steady_states(
 
 
 def warm_up(chains: Iterable[Chain], solver: Solver) -> None:
-    """Compile the loops, two side by side, before several threads ask for the same."""
+    """Compile the loops, two at a time, before several threads ask for the same."""
     for chain in chains:
         lane = first_lane(chain, solver)
         if lane.here.state.size:
@@ -158,10 +158,8 @@ class _Work:
             yield after_shot(search, recorded, self.criterion)
 
     def _marched(self, searches: Sequence[Search]) -> Iterator[Search]:
-        lonely = len(searches) < SIDE_BY_SIDE and all(search.cycles > threshold.LONELY for search in searches)
-        size = 1 if lonely else SIDE_BY_SIDE
         lanes = [search.lane for search in searches]
-        done = march_lanes(lanes, self.solver, threshold.CYCLES_A_ROUND, size=size, each=self.each)
+        done = march_lanes(lanes, self.solver, threshold.CYCLES_A_ROUND, each=self.each)
         for search, (lane, returns) in zip(searches, done, strict=True):
             yield after_march(search, lane, returns, self.solver, self.criterion)
 

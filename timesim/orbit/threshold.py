@@ -5,14 +5,10 @@ Sizes are relative to the largest entry of the state vectors; a round is a numbe
 
 # Marching
 CYCLES_A_ROUND = 8
-"""Half of it holds a whole motion of the longest period that is recognised; the call itself, some 1 ms of host work,
-is small beside a round of four lanes."""
+"""Half of it holds a whole motion of the longest period that is recognised; the call itself takes some 0.5 ms of host
+work."""
 UNDER_WAY = 128
-"""Searches under way at a time: many batches, so that most are full while some searches come to their end."""
-LONELY = 1024
-"""Cycles after which the last few searches march alone: a batch of four costs up to four times as much, and a scene
-that takes that many cycles, though it is shot from time to time, takes thousands, more than compiling one more program
-does."""
+"""Searches under way at a time: enough for all threads while some come to their end."""
 UNSETTLED_CYCLES = 10
 """Over which the amplitude of a motion that has not settled is taken, as the result file promises."""
 

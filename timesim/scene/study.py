@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from timesim.fault import Key, RuleError, nearest
-from timesim.model.cost import FEW, MANY, Work, cycles_to_settle
+from timesim.model.cost import Work, cycles_to_settle
 from timesim.model.model import Model
 from timesim.model.solver import SHOOT, SLOW, Criterion
 from timesim.result.label import counted
@@ -200,7 +200,7 @@ class SweepPlan:
         """Roughly the cycles that it takes, by the decay of the slowest mode of the model."""
         mean = float(np.mean(self.frequency))
         cycles = self.size * cycles_to_settle(model, self.criterion, mean)
-        return Work(((mean, cycles),), float(self.frequency[0]), FEW if self.chained else MANY)
+        return Work(((mean, cycles),), float(self.frequency[0]), sweep=True)
 
 
 class SteadySection(StudySection):

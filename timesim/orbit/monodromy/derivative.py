@@ -1,4 +1,4 @@
-"""Derivative of steps of any method by automatic differentiation, side by side for several lanes."""
+"""Derivative of steps of any method by automatic differentiation."""
 
 from timesim.runtime import tree_class  # isort: skip
 
@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from timesim.engine.lanes import batch_last, over_lanes
 from timesim.engine.law.contact_law import Motion, Plane, State
 from timesim.engine.method import Explicit, Method
 from timesim.engine.step import Step, transition
@@ -84,33 +83,28 @@ def felt(method: Method, system: System, step: Step) -> System:
 
 @program
 def derivative(
-    method: Method, systems: System, steps: Step, count: Int[Array, " batch"], opens: Bool[Array, " batch"]
-) -> Float[Array, "batch state state"]:
-    """Products over the steps of the derivative of each, in the order of `vector_of`.
+    method: Method, system: System, steps: Step, count: Int[Array, ""], opens: Bool[Array, ""]
+) -> Float[Array, "state state"]:
+    """Product over some steps of the derivative of each, in the order of `vector_of`.
 
     Args:
-        method, systems: that of the steps, and those in which they were taken, batch first.
-        steps: accepted steps in a row of each, the first axis that of the steps, the last one that of the batch.
+        method, system: that of the steps, and that in which they were taken.
+        steps: accepted steps in a row, their axis the first.
         count: how many of them there are; rows beyond are empty.
         opens: whether they begin with the state from which the cycles do, which may be moved off the friction cone: w
             of a contact that slips is put back on it.
     """
-    systems = batch_last(systems)
     own = replace(method, looped=True) if isinstance(method, Explicit) else method
 
-    def on_cone(system: System, step: Step, opens: Bool[Array, ""]) -> Float[Array, "state state"]:
+    def on_cone(step: Step) -> Float[Array, "state state"]:
         """Derivative of the state from which the first step starts by that from which its lane does."""
         quiet, start = jnp.zeros(step.state.shape, dtype=bool), vector_of(step.start)
         put = lambda y: vector_of(transition(system, step.state, quiet, point_of(y, step.start))[0])  # noqa: E731
         return jnp.where(opens, jax.jacfwd(put)(start), jnp.eye(start.size))
 
-    def push(system: System, step: Step, columns: Float[Array, "state state"]) -> Float[Array, "state state"]:
+    def push(index: Array, columns: Float[Array, "state state"]) -> Float[Array, "state state"]:
+        step = jax.tree.map(lambda rows: rows[index], steps)
         image, start = partial(_image, own, system, step), vector_of(step.start)
         return jax.vmap(lambda column: jax.jvp(image, (start,), (column,))[1], in_axes=1, out_axes=1)(columns)
 
-    def body(index: Array, product: Array) -> Array:
-        step = jax.tree.map(lambda rows: rows[index], steps)
-        return jnp.where(index < count, over_lanes(push)(systems, step, product), product)
-
-    product = over_lanes(on_cone)(systems, jax.tree.map(lambda rows: rows[0], steps), opens)
-    return jnp.moveaxis(jax.lax.fori_loop(0, count.max(), body, product), -1, 0)
+    return jax.lax.fori_loop(0, count, push, on_cone(jax.tree.map(lambda rows: rows[0], steps)))

@@ -66,7 +66,7 @@ def cost_lines(scene: Scene, model: Model) -> Iterator[str]:
 
 
 def _of_starts(model: Model, solver: Solver, plan: BistablePlan) -> str:
-    """The cost of the starts within a range: all march side by side until they settle."""
+    """The cost of the starts within a range: all march until they settle."""
     sweep, number = plan.sweep, plan.starts**2
     marched = replace(sweep, directions=("independent",), criterion=replace(sweep.criterion, first_shot=NEVER))
     cycles, own, *_ = sweep_cost(model, solver, marched)
@@ -81,7 +81,7 @@ def sweep_cost(model: Model, solver: Solver, sweep: SweepPlan) -> tuple[int, flo
     """
     whole = sweep.work(model)
     ((frequency, every),) = whole.phases
-    cycles, own = round(every / sweep.size), cost.seconds_a_cycle(model, solver, frequency, whole.side_by_side)
+    cycles, own = round(every / sweep.size), cost.seconds_a_cycle(model, solver, frequency, marched=True)
     marched = int(min(cycles, sweep.criterion.first_shot))
     beside = cost.SETTLING + (1 + cycles - marched) * cost.seconds_a_derivative(model, solver, frequency)
     return marched, own, beside, sweep.size * (marched * own + beside)
