@@ -65,7 +65,7 @@ def test_a_long_sweep_gains_by_fewer_steps() -> None:
     names, blade = [], load_scene(ROOT / "configs" / "blade_response.yaml").model()
     for model, frequency in ((blade, 725.0), (slowly_driven(), 0.3)):
         once = Work(((frequency, 1),), frequency, sweep=True)
-        for time in (8.0, 24.0):
+        for time in (3.0, 12.0):
             cycles = time / seconds(model, Solver("tsit5", 1e-7, 1e-9), once)
             work = Work(((frequency, cycles),), frequency, sweep=True)
             names.append(choice("standard", model, work, BUDGET).solver.name)
