@@ -2,8 +2,7 @@
 
 Run `python benchmarks/lanes.py`. Sixteen trajectories, or `--lanes`, of tsit5 that begin at different phases of the
 excitation, 10 cycles, nothing recorded: microseconds of CPU a cycle and trajectory, the median of some runs after the
-first. `timesim.engine.system.MOST_SUMMED` and the lanes of a batch in `timesim.orbit.batch` follow from it, and `WIDE`
-in part: what compiles counts there too.
+first. `timesim.engine.system.MOST_SUMMED` follows from it, and `WIDE` in part: what compiles counts there too.
 """
 
 import timesim.runtime  # noqa: F401  isort: skip

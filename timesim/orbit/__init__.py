@@ -1,1 +1,1 @@
-"""Periodic motions of many scenes side by side: settling, shooting, monodromy, jumps, pairs of motions, basins."""
+"""Periodic motions of many scenes: settling, shooting, monodromy, jumps, pairs of motions, basins."""
