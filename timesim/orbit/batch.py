@@ -91,8 +91,7 @@ def record(
 def _recorded(own: tuple[Lane, int], solver: Solver, most: int | None) -> tuple[Trajectory, Step, np.ndarray]:
     """The end of a lane after some cycles, its steps, their axis the first, and the energy lost in each contact.
 
-    By itself, in the loop of a transient: it is the derivative that takes most of the time, and a loop that records
-    several side by side is compiled for as long as the one that marches them.
+    In the loop of a transient, whose program it shares.
     """
     (lane, num), method = own, step_method(solver)
     room = min(CAPACITY, capacity(lane.system, method.order if method.collocates else 0))

@@ -1,4 +1,4 @@
-"""Lanes of a batch: trajectories of scenes at the start of a cycle, and recorded cycles of them."""
+"""Lanes: trajectories of scenes at the start of a cycle, and recorded cycles of them."""
 
 from timesim.runtime import with_parts  # isort: skip
 
@@ -84,11 +84,6 @@ class Lane:
         control, share = self.control, rtol / float(self.control.rtol)
         finer = {"rtol": np.asarray(rtol), "atol": np.asarray(control.atol * share)}
         return replace(self, control=replace(control, **finer))
-
-    @property
-    def shapes(self) -> tuple[tuple[int, ...], ...]:
-        """Shapes of the arrays given to the loop; all lanes of a batch have the same."""
-        return tuple(np.shape(leaf) for leaf in jax.tree.leaves((self.control, self.system)))
 
     @cached_property
     def apart(self) -> np.ndarray:

@@ -63,18 +63,17 @@ def steady_states(
     """
     work = _Work(chains, solver, criterion, halted, each)
     orbits: list[list[Orbit]] = [[] for _ in chains]
-    groups: dict[tuple[tuple[int, ...], ...], deque[Search]] = {}
+    pending: deque[Search] = deque()
     for index, chain in enumerate(chains):
         lane = first_lane(chain, solver)
         orbits[index] = _linear_orbits(chain, lane, solver)
         if not orbits[index]:
-            groups.setdefault(lane.shapes, deque()).append(Search(index, 0, lane))
+            pending.append(Search(index, 0, lane))
     try:
-        for group in groups.values():
-            for search in work.settled(group):
-                assert search.orbit is not None
-                orbits[search.chain].append(search.orbit)
-                count()
+        for search in work.settled(pending):
+            assert search.orbit is not None
+            orbits[search.chain].append(search.orbit)
+            count()
     except KeyboardInterrupt:
         raise GivenUpError(orbits) from None
     return orbits
@@ -117,7 +116,7 @@ class _Work:
     each: Each
 
     def settled(self, pending: deque[Search]) -> Iterator[Search]:
-        """Yield the searches of a group, and those that follow along their chains, when each is done.
+        """Yield searches, and those that follow along their chains, when each is done.
 
         Raises:
             KeyboardInterrupt: the work was given up.
