@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
-import jax
 import numpy as np
 from scipy.linalg import null_space, orth
 
