@@ -1,9 +1,9 @@
 """What is gained by leaving out what a scene does not need?
 
 Run `python benchmarks/reduction.py`. Each scene reduced and whole, in turn: CPU microseconds a cycle of a run that is
-recorded, and marched as to a steady state, compiled before, median of several; the ratios; and the
-difference of the last state, which must be rounding or the solver's tolerance. The same tangential stiffness in all
-directions is taken away by a part in a million, which is the difference to expect.
+recorded, and marched as to a steady state, compiled before, median of several; the ratios; and the difference of the
+last state, which must be rounding or the solver's tolerance. The same tangential stiffness in all directions is taken
+away by a part in a million, which is the difference to expect.
 """
 
 import argparse

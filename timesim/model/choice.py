@@ -69,7 +69,7 @@ def contact_rate(model: Model) -> float:
 # 1e4 times stiffer or a mode at 1,000 times: two fifths. The oscillator, hardly faster than it is driven: 76, 63,
 # 44 and 87, 78, 44 against 60, 39, 30 and 75, 61, 43. Sweeps of twelve structures of tests/zoo.py, 2 x 1 to 8 x 3: 0.66
 # to 1.02 of the time of tsit5, in the middle 0.86; of the blade with 12 modes 0.84. A run compiles 0.1 to 0.8 s longer
-# than by tsit5, a sweep from 0.6 s less to 1.5 s more (benchmarks/compile_time.py).
+# than by tsit5; a sweep, on a machine of half the speed, from 1.3 s less to 3.3 s more (benchmarks/compile_time.py).
 DOPRI8 = Line(
     method="dopri8",
     why="of order 8, it takes about half of the time of tsit5 where the structure is faster than its excitation",

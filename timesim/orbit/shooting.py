@@ -67,7 +67,7 @@ class Shot:
 
     @property
     def in_vain(self) -> bool:
-        """Whether it is worth no further iteration: a march of as long would come nearer."""
+        """Whether it has gone on for too long, or come no nearer for too long."""
         most = max(threshold.FEW_IDLE, threshold.MOST_IDLE / self.period)
         return self.count >= threshold.MOST_SHOTS or self.idle >= most
 
