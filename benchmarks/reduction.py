@@ -27,7 +27,7 @@ from timesim.study.registry import load_scene
 
 ROOT = Path(__file__).parents[1]
 OSCILLATOR, MANY = ROOT / "configs" / "oscillator.yaml", ROOT / "tests" / "data" / "many_modes.yaml"
-CYCLES, LANES = 40, 16
+CYCLES, POINTS = 40, 16
 STRAIGHT = {"structure.modes.0.shape.tip": [1, 0, 0.8], "structure.modes.1.shape.tip": [1, 0, 0.6]}
 SCENES: dict[str, tuple[Path, dict[str, Any]]] = {
     "contact proven to stick (n0 = 40)": (OSCILLATOR, {"contacts.pad.preload": 40}),
@@ -114,7 +114,7 @@ def alternated(work: Callable[..., np.ndarray], both: Pair, repeats: int) -> tup
 
 def steady(model: Model, solver: Solver) -> np.ndarray:
     """Amplitudes of steady states from 1.0 to 1.5 Hz; in closed form where contacts are proven to keep their states."""
-    chains = [Chain(model, (frequency,)) for frequency in np.linspace(1.0, 1.5, LANES)]
+    chains = [Chain(model, (frequency,)) for frequency in np.linspace(1.0, 1.5, POINTS)]
     return np.array([orbits[0].amplitude for orbits in steady_states(chains, solver, Criterion())]).ravel()
 
 
@@ -138,7 +138,7 @@ def main() -> None:
         steady, ((model, PRESETS["standard"]), (model, replace(PRESETS["standard"], reduce=False))), 3
     )
     difference = np.abs(ends[0] - ends[1]).max() / np.abs(ends[1]).max()
-    print(f"\nlinear in closed form (n0 = 40): {lean / LANES * 1e3:.3g} against {whole / LANES * 1e3:.3g} ms of CPU a ")
+    print(f"\nlinear in closed form (n0 = 40): {lean / POINTS * 1e3:.3g} against {whole / POINTS * 1e3:.3g} ms of CPU a ")
     print(f"steady state, {whole / lean:.0f} times, difference {difference:.1e}")
 
 

@@ -142,4 +142,5 @@ def test_collocation_leads_a_disturbance_as_explicit_steps_do(monkeypatch):
     assert set(found[0].steps.state[:, 1].tolist()) == {STICK, SLIP, SEPARATION}
     assert set(found[0].steps.state[:, 0].tolist()) == {SLIP, SEPARATION}  # the stop
     own, other = (one.slope for one in found)
+    # Collocation resolves the turning of slip before n = 0 less well: it errs by 5e-6, by 1e-6 at rtol 1e-12.
     np.testing.assert_allclose(own, other, rtol=0, atol=1e-5 * np.abs(other).max())
