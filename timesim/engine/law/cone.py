@@ -94,10 +94,13 @@ class ConeLaw(ContactLaw):
 
     start_states = staticmethod(cone_states)
 
-    def disturbed(self, h: Scalar, ends: Sequence[tuple[Motion, Plane]]) -> "ConeLaw":
+    def disturbed(self, state: State, h: Scalar, ends: Sequence[tuple[Motion, Plane]]) -> "ConeLaw":
         # Where a contact opens or has just closed, any step is long at one end, and follows that well.
-        decays = [h * self._turning_rate(motion, slip_direction(self, motion, w, True)) for motion, w in ends]
-        return replace(self, step=jnp.where(jnp.minimum(*decays) > FOLLOWED, h, 0.0))
+        return replace(self, step=jnp.where(jnp.minimum(*self.decays(state, h, ends)) > FOLLOWED, h, 0.0))
+
+    def decays(self, state: State, h: Scalar, ends: Sequence[tuple[Motion, Plane]]) -> list[Scalar]:
+        rates = [self._turning_rate(motion, slip_direction(self, motion, w, True)) for motion, w in ends]
+        return [jnp.where(state == SLIP, h * rate, 0.0) for rate in rates]
 
     def _turning_rate(self, motion: Motion, e: Plane) -> Scalar:
         """At which a disturbed direction of slip e is led back to that of u'."""

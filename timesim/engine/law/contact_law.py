@@ -114,12 +114,19 @@ class ContactLaw(eqx.Module):
         Contacts and loads are in the units of the scene.
         """
 
-    def disturbed(self, h: Scalar, ends: Sequence[tuple[Motion, Plane]]) -> "ContactLaw":
+    def disturbed(self, state: State, h: Scalar, ends: Sequence[tuple[Motion, Plane]]) -> "ContactLaw":
         """The law as an explicit step follows it with a disturbance: by default this one.
 
         ``ends``: motion and slip at both ends of the step of length h.
         """
         return self
+
+    def decays(self, state: State, h: Scalar, ends: Sequence[tuple[Motion, Plane]]) -> Sequence[Scalar]:
+        """Of a disturbance that the contacts themselves let die out over a step, at the rate of each of its ends.
+
+        Arguments as `disturbed`; by default 0.
+        """
+        return [jnp.zeros(state.shape) for _ in ends]
 
     @abc.abstractmethod
     def reaction(self, state: State, motion: Motion, w: Plane) -> Reaction:

@@ -14,6 +14,7 @@ import timesim.runtime  # noqa: F401  isort: skip
 from functools import partial
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -73,7 +74,8 @@ def newton_step(
     num = own.shape[0]
     matrix = [[mu * n[j] * along_k[j] * rule.slopes[j, k + 1] for k in range(num)] for j in range(num)]
     matrix = [[entry + turn[j] if j == k else entry for k, entry in enumerate(row)] for j, row in enumerate(matrix)]
-    change = jnp.stack(solved(matrix, [value[j] for j in range(num)]))
+    # The derivative of the matrix counts for nothing, as the step is next to none where a derivative is taken.
+    change = jnp.stack(solved(jax.lax.stop_gradient(matrix), [value[j] for j in range(num)]))
     change = jnp.where(slips & jnp.isfinite(change), jnp.clip(change, -MOST_TURN, MOST_TURN), 0.0)
     return jnp.concatenate([angle[:1], own - change])
 

@@ -17,6 +17,11 @@ from timesim.engine.system import Point, System
 from timesim.model.model import SEPARATION, SLIP, STICK
 from timesim.program import program
 
+DECAY = 2.0  # of a disturbed direction of slip over a part of a step of collocation
+MOST_PARTS = 8
+STEEPEST = 7.0  # logarithm of the ratio of the decay's rates at both ends of a step
+LEAST = 1e-6  # decay, and such a logarithm, beside which none counts
+
 
 @tree_class
 class HybridState:
@@ -60,8 +65,7 @@ def ending(system: System, step: Step, motion: Motion, w: Plane) -> Float[Array,
 
 def _image(method: Method, system: System, step: Step, start: Float[Array, " state"]) -> Float[Array, " state"]:
     """Where a start close to that of the step is led to, at the fixed time of its end."""
-    system, here, point = felt(method, system, step), (step.state, step.time), point_of(start, step.start)
-    end = vector_of(method.advance(system, *here, point, system.field(*here, point), step.h).point)
+    end = _end(method, felt(method, system, step), step, start)
     crossed = step.state != step.state_after
     before, middle = vector_of(step.end_rate), jax.lax.stop_gradient(end)
     guard = partial(_first_guard, system, step)
@@ -73,12 +77,40 @@ def _image(method: Method, system: System, step: Step, start: Float[Array, " sta
     return vector_of(at_event) - after * delay
 
 
+def _end(method: Method, system: System, step: Step, start: Float[Array, " state"]) -> Float[Array, " state"]:
+    """Where a start close to that of a step is led to, every contact keeping its state.
+
+    By collocation in parts: its steps are as long as the direction of slip is smooth, however fast a disturbed one is
+    led back to it. Where that is so as 1 / n, a disturbance dies out alike in each part.
+    """
+
+    def advanced(begin: Array, end: Array, start: Array) -> Array:
+        time, point = step.time + begin, point_of(start, step.start)
+        rate = system.field(step.state, time, point)
+        return vector_of(method.advance(system, step.state, time, point, rate, end - begin).point)
+
+    if not method.collocates:
+        return advanced(jnp.zeros(()), step.h, start)
+    decays = jnp.stack(system.law.decays(step.state, step.h, _ends(system, step)))
+    first, last = decays[:, jnp.argmax(decays.sum(axis=0))] if decays.size else jnp.zeros(2)
+    num = jnp.clip(jnp.ceil((first + last) / (2 * DECAY)), 1, MOST_PARTS).astype(int)
+    steepness = jnp.log(jnp.maximum(first, LEAST) / jnp.maximum(last, LEAST))
+    steepness = jnp.where(jnp.abs(steepness) < LEAST, LEAST, jnp.clip(steepness, -STEEPEST, STEEPEST))
+    part = jnp.arange(MOST_PARTS + 1)
+    cuts = jnp.where(part < num, step.h * jnp.expm1(steepness * part / num) / jnp.expm1(steepness), step.h)
+    return jax.lax.fori_loop(0, num, lambda i, here: advanced(cuts[i], cuts[i + 1], here), start)
+
+
+def _ends(system: System, step: Step) -> list[tuple[Motion, Plane]]:
+    """Motion and slip of the contacts at both ends of a step."""
+    return [(system.motion(point), point.w) for point in (step.start, step.end)]
+
+
 def felt(method: Method, system: System, step: Step) -> System:
     """The system as a step of an explicit method follows it with a disturbance."""
     if not isinstance(method, Explicit):
         return system
-    ends = [(system.motion(point), point.w) for point in (step.start, step.end)]
-    return replace(system, law=system.law.disturbed(step.h, ends))
+    return replace(system, law=system.law.disturbed(step.state, step.h, _ends(system, step)))
 
 
 @program
