@@ -82,7 +82,9 @@ def advance_lanes(
 ROWS = 256  # evaluated at a time: a fixed number, so that a function of rows is compiled once
 
 
-def by_rows(function: Callable[..., Any], common: tuple, columns: tuple, *chosen: tuple[Any, np.ndarray]) -> Any:
+def by_rows(
+    function: Callable[..., Any], common: tuple, columns: tuple, *chosen: tuple[Any, np.ndarray], rows: int = ROWS
+) -> Any:
     """A compiled function of rows, of as many at a time as it is compiled for.
 
     Args:
@@ -90,11 +92,12 @@ def by_rows(function: Callable[..., Any], common: tuple, columns: tuple, *chosen
         common: what all rows share.
         columns: rows as they are.
         chosen: rows, and which of them each row has. Chosen a few at a time they stay in the caches.
+        rows: how many that is.
     """
     size, found = len(jax.tree.leaves(columns)[0]), []
-    for first in range(0, size, ROWS):
-        at = np.minimum(np.arange(first, first + ROWS), size - 1)
-        rows = [*jax.tree.map(operator.itemgetter(at), columns)]
-        rows += [jax.tree.map(operator.itemgetter(index[at]), table) for table, index in chosen]
-        found.append(jax.tree.map(np.asarray, function(*common, *rows)))
-    return jax.tree.map(lambda *rows: np.concatenate(rows)[:size], *found)
+    for first in range(0, size, rows):
+        at = np.minimum(np.arange(first, first + rows), size - 1)
+        own = [*jax.tree.map(operator.itemgetter(at), columns)]
+        own += [jax.tree.map(operator.itemgetter(index[at]), table) for table, index in chosen]
+        found.append(jax.tree.map(np.asarray, function(*common, *own)))
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[:size], *found)

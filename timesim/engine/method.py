@@ -76,7 +76,7 @@ class Method(eqx.Module):
             time: start of the step within the cycle.
             point, rate: continuous state there and its rate.
             h: length.
-            tolerance: error that is allowed, for a method that iterates; None where a derivative is wanted.
+            tolerance: error that is allowed, for a method that iterates, which needs it.
         """
 
     def prepared(self, dynamics: Any, longest: Float[Array, ""]) -> Any:
@@ -258,6 +258,7 @@ class Exponential(Method):
     def advance(
         self, dynamics: Any, state: State, time: Array, point: Y, rate: Y, h: Array, tolerance: Array | None = None
     ) -> Advance:
+        assert tolerance is not None
         rule = rule_of(self.num_nodes)
         flow = Flow.of(dynamics, rule, h) if dynamics.ladder is None else dynamics.ladder.rung(h, h)
         solved = solve(dynamics, flow, state, time, point, rule=rule, tolerance=tolerance)

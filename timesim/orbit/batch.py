@@ -20,13 +20,23 @@ from jaxtyping import Array, Float
 from timesim.engine.event_loop import advance, alone, begun, capacity, first_rows, unfinished
 from timesim.engine.exponential.work import energy_lost
 from timesim.engine.lanes import advance_lanes
-from timesim.engine.method import Explicit, Method, step_method
+from timesim.engine.method import Explicit, Exponential, Method, step_method
 from timesim.engine.solver import Control
 from timesim.engine.step import Step, Trajectory, begin, try_step
 from timesim.engine.system import System, Work
 from timesim.model.solver import Solver
 from timesim.orbit.lane import Lane, Recorded
-from timesim.orbit.monodromy import LOST, MANY, Disturbed, HybridState, derivative, error_of, linear, state_vector
+from timesim.orbit.monodromy import (
+    LOST,
+    MANY,
+    Collocated,
+    Disturbed,
+    HybridState,
+    derivative,
+    error_of,
+    linear,
+    state_vector,
+)
 from timesim.program import program
 
 CAPACITY = 1024  # steps of one call that records, at most
@@ -123,6 +133,8 @@ def _slopes(lanes: Sequence[Lane], method: Method, steps: Sequence[Step], each: 
         own = [i for i, pair in enumerate(zip(lanes, steps, strict=True)) if _by_matrices(method, *pair)]
         found = each(partial(_slope_of_explicit, method), [(lanes[i], steps[i]) for i in own])
         slopes |= zip(own, found, strict=True)
+    elif isinstance(method, Exponential):
+        slopes |= enumerate(each(partial(_slope_of_collocation, method), list(zip(lanes, steps, strict=True))))
     others = [i for i in range(len(lanes)) if i not in slopes]
     pieces = _slopes_in_pieces([lanes[i] for i in others], method, [steps[i] for i in others], each)
     slopes |= zip(others, pieces, strict=True)
@@ -152,6 +164,12 @@ def _slope_of_explicit(method: Explicit, own: tuple[Lane, Step]) -> np.ndarray:
     disturbed = Disturbed(method, system, _fastest(lane))
     with np.errstate(over="ignore", invalid="ignore"):
         return disturbed.moved(whole, steps.h, steps.state) @ disturbed.opening(whole)
+
+
+def _slope_of_collocation(method: Exponential, own: tuple[Lane, Step]) -> np.ndarray:
+    """The same of one lane by collocation."""
+    lane, steps = own
+    return Collocated(method, lane.system.single()).moved(steps)
 
 
 def _slopes_in_pieces(lanes: Sequence[Lane], method: Method, steps: Sequence[Step], each: Each) -> list[np.ndarray]:

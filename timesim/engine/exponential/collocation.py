@@ -21,7 +21,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
 from timesim.engine.barrier import apart, matmul
@@ -33,9 +32,7 @@ from timesim.engine.system import Point, System, contact_force
 from timesim.model.model import SLIP
 
 CONVERGED = 1e-3  # change that sweeps leave undone, in the tolerance of a step
-EXACT = 1e-8  # relative tolerance of a step whose derivative is sought
 MOST_SWEEPS = 12
-MOST_LINEAR_SWEEPS = 40  # for a derivative, whose step is not shortened where they converge slowly
 ERROR = 0.1  # of what the highest power does: measured, a tolerance of 1e-4 to 1e-8 then leaves about as much after
 # 20 cycles of 20 modes with 3 contacts (benchmarks/README.md)
 NUM_RUNGS = 64  # of lengths: the shortest is 3e-10 of the longest
@@ -162,21 +159,18 @@ def solve(
     point: Point,
     *,
     rule: Rule,
-    tolerance: Float[Array, ""] | None,
+    tolerance: Float[Array, ""],
 ) -> Solved:
     """A step with every contact keeping its state, from a time within the cycle and the continuous state there.
 
-    ``tolerance``: error that is allowed; None where the derivative is sought.
+    ``tolerance``: error that is allowed.
     """
     start = _start(tuple(rule.nodes.tolist()), system, flow, state, time, point)
     inner = system.law.inner(state, start.motion, point.w)
     constant = jax.tree.map(lambda x: jnp.broadcast_to(x, (len(rule.nodes), *x.shape)), inner)
     guess = Guess(jnp.broadcast_to(start.force, start.q.shape), constant)
     sweep = partial(_sweep, rule, system, flow, start)
-    if tolerance is None:
-        guess, converged = _fixed_point(sweep, guess, EXACT * system.size(point)), jnp.asarray(True)
-    else:
-        guess, converged = _swept(sweep, guess, tolerance)
+    guess, converged = _swept(sweep, guess, tolerance)
     q, p, nodes, within = _at_nodes(rule, system, flow, start, guess)
     power = jnp.asarray(rule.monomials)
     force = matmul(power, jnp.concatenate([start.force, guess.force]))
@@ -287,47 +281,6 @@ def _swept(
     big = jnp.full((), 1e300)
     guess, before, change, _ = jax.lax.while_loop(goes_on, body, (guess, big, big, jnp.zeros((), dtype=jnp.int64)))
     return guess, left(before, change) <= CONVERGED * tolerance
-
-
-def _fixed_point(sweep: Callable[[Guess], tuple[Guess, Array]], guess: Guess, tolerance: Array) -> Guess:
-    """What a sweep leaves as it is, and its derivative, by the theorem on implicit functions."""
-
-    def sought(guess: Guess) -> Guess:
-        """What sweeps change: not the inner values at the start, whose own derivative counts."""
-        return Guess(guess.force, jax.tree.map(lambda rows: rows[1:], guess.inner))
-
-    unflatten = ravel_pytree(sought(guess))[1]
-
-    def flat(guess: Guess) -> Array:
-        return ravel_pytree(sought(guess))[0]
-
-    def whole(x: Array) -> Guess:
-        force, rest = unflatten(x)
-        return Guess(force, jax.tree.map(lambda own, rows: jnp.concatenate([own[:1], rows]), guess.inner, rest))
-
-    def change(x: Array) -> Array:
-        return flat(sweep(whole(x))[0]) - x
-
-    def found(_: Callable[[Array], Array], x: Array) -> Array:
-        return flat(_swept(sweep, whole(x), tolerance)[0])
-
-    return whole(jax.lax.custom_root(change, flat(guess), found, _solved_by_sweeps))
-
-
-def _solved_by_sweeps(change: Callable[[Array], Array], right: Array) -> Array:
-    """x at which a linear change, as a sweep makes it, is ``right``: by such sweeps."""
-    least = CONVERGED * EXACT * jnp.abs(right).max()
-
-    def goes_on(carry: tuple) -> Array:
-        _, left, count = carry
-        return (left > least) & (count < MOST_LINEAR_SWEEPS)
-
-    def body(carry: tuple) -> tuple:
-        x, _, count = carry
-        step = change(x) - right
-        return x + step, jnp.abs(step).max(), count + 1
-
-    return jax.lax.while_loop(goes_on, body, (-right, jnp.full((), jnp.inf), jnp.zeros((), dtype=jnp.int64)))[0]
 
 
 def _error(rule: Rule, system: System, h: Array, state: State, highest: Array, w: Plane) -> Point:

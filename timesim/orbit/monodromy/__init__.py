@@ -21,6 +21,7 @@ of the rates, and exact [4]_. Its eigenvalues are the Floquet multipliers.
    on Numerical Analysis 4 (1967) 372-380.
 """
 
+from timesim.orbit.monodromy.collocated import Collocated
 from timesim.orbit.monodromy.derivative import HybridState, derivative, point_of, state_vector, vector_of
 from timesim.orbit.monodromy.disturbed import LOST, MANY, Disturbed, error_of
 from timesim.orbit.monodromy.linearised import linear

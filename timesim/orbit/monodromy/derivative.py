@@ -10,17 +10,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from timesim.engine.law.contact_law import Motion, Plane, State
+from timesim.engine.law.contact_law import ContactLaw, Motion, Plane, Scalar, State
 from timesim.engine.method import Explicit, Method
 from timesim.engine.step import Step, transition
 from timesim.engine.system import Point, System
 from timesim.model.model import SEPARATION, SLIP, STICK
 from timesim.program import program
-
-DECAY = 2.0  # of a disturbed direction of slip over a part of a step of collocation
-MOST_PARTS = 8
-STEEPEST = 7.0  # logarithm of the ratio of the decay's rates at both ends of a step
-LEAST = 1e-6  # decay, and such a logarithm, beside which none counts
 
 
 @tree_class
@@ -49,23 +44,24 @@ def state_vector(point: Point, state: State) -> Float[Array, " state"]:
     return jnp.concatenate([point.q, point.p, *(jnp.where(apart, 0.0, w) for w in point.w)])
 
 
+def margin_at_end(law: ContactLaw, state: State, after: State, motion: Motion, w: Plane) -> Scalar:
+    """Margin of each contact that falls to zero where it goes on in another state."""
+    force, speed = law.margins(state, motion, w)
+    return jnp.where((state == SLIP) & (after == STICK), speed, force)
+
+
 def _first_guard(system: System, step: Step, vector: Float[Array, " state"]) -> Float[Array, ""]:
     """Margin of the contact that leaves its state at the end of the step; of several at once, of the first."""
     point = point_of(vector, step.end)
-    return ending(system, step, system.motion(point), point.w)
-
-
-def ending(system: System, step: Step, motion: Motion, w: Plane) -> Float[Array, ""]:
-    """The same by the motion of the contacts."""
-    force, speed = system.law.margins(step.state, motion, w)
-    to_stick = (step.state == SLIP) & (step.state_after == STICK)
-    margin = jnp.where(to_stick, speed, force)
+    margin = margin_at_end(system.law, step.state, step.state_after, system.motion(point), point.w)
     return margin[jnp.argmax(step.state != step.state_after)] if margin.size else jnp.ones(())
 
 
 def _image(method: Method, system: System, step: Step, start: Float[Array, " state"]) -> Float[Array, " state"]:
     """Where a start close to that of the step is led to, at the fixed time of its end."""
-    end = _end(method, felt(method, system, step), step, start)
+    point, felt = point_of(start, step.start), _felt(method, system, step)
+    rate = felt.field(step.state, step.time, point)
+    end = vector_of(method.advance(felt, step.state, step.time, point, rate, step.h).point)
     crossed = step.state != step.state_after
     before, middle = vector_of(step.end_rate), jax.lax.stop_gradient(end)
     guard = partial(_first_guard, system, step)
@@ -77,40 +73,12 @@ def _image(method: Method, system: System, step: Step, start: Float[Array, " sta
     return vector_of(at_event) - after * delay
 
 
-def _end(method: Method, system: System, step: Step, start: Float[Array, " state"]) -> Float[Array, " state"]:
-    """Where a start close to that of a step is led to, every contact keeping its state.
-
-    By collocation in parts: its steps are as long as the direction of slip is smooth, however fast a disturbed one is
-    led back to it. Where that is so as 1 / n, a disturbance dies out alike in each part.
-    """
-
-    def advanced(begin: Array, end: Array, start: Array) -> Array:
-        time, point = step.time + begin, point_of(start, step.start)
-        rate = system.field(step.state, time, point)
-        return vector_of(method.advance(system, step.state, time, point, rate, end - begin).point)
-
-    if not method.collocates:
-        return advanced(jnp.zeros(()), step.h, start)
-    decays = jnp.stack(system.law.decays(step.state, step.h, _ends(system, step)))
-    first, last = decays[:, jnp.argmax(decays.sum(axis=0))] if decays.size else jnp.zeros(2)
-    num = jnp.clip(jnp.ceil((first + last) / (2 * DECAY)), 1, MOST_PARTS).astype(int)
-    steepness = jnp.log(jnp.maximum(first, LEAST) / jnp.maximum(last, LEAST))
-    steepness = jnp.where(jnp.abs(steepness) < LEAST, LEAST, jnp.clip(steepness, -STEEPEST, STEEPEST))
-    part = jnp.arange(MOST_PARTS + 1)
-    cuts = jnp.where(part < num, step.h * jnp.expm1(steepness * part / num) / jnp.expm1(steepness), step.h)
-    return jax.lax.fori_loop(0, num, lambda i, here: advanced(cuts[i], cuts[i + 1], here), start)
-
-
-def _ends(system: System, step: Step) -> list[tuple[Motion, Plane]]:
-    """Motion and slip of the contacts at both ends of a step."""
-    return [(system.motion(point), point.w) for point in (step.start, step.end)]
-
-
-def felt(method: Method, system: System, step: Step) -> System:
+def _felt(method: Method, system: System, step: Step) -> System:
     """The system as a step of an explicit method follows it with a disturbance."""
     if not isinstance(method, Explicit):
         return system
-    return replace(system, law=system.law.disturbed(step.state, step.h, _ends(system, step)))
+    ends = [(system.motion(point), point.w) for point in (step.start, step.end)]
+    return replace(system, law=system.law.disturbed(step.state, step.h, ends))
 
 
 @program

@@ -16,6 +16,7 @@ import scipy.linalg
 from timesim.engine.method import Explicit, tableau
 from timesim.engine.system import System
 from timesim.model.model import SLIP
+from timesim.orbit.monodromy.columns import Columns, by_contact, in_rows, product
 from timesim.orbit.monodromy.linearised import Linear, weights_of
 
 MANY = 64
@@ -95,7 +96,7 @@ class Modes(NamedTuple):
         return Modes(self.rates[:num][upper], (twice * right)[:, upper], parts[upper])
 
 
-class Disturbed:
+class Disturbed(Columns):
     """Matrices by which steps of an explicit method move small disturbances, in the order of `vector_of`.
 
     Args:
@@ -104,20 +105,17 @@ class Disturbed:
     """
 
     def __init__(self, method: Explicit, system: System, fastest: float):
+        super().__init__(system)
         own = tableau(method.name)
-        self.weights, self.shape = weights_of(own), np.concatenate(system.shape)
+        self.weights, self.stiffness, self.damping = weights_of(own), system.stiffness, system.damping
         self.nodes = np.concatenate([[0.0], own.nodes])[: len(self.weights) - 1]
-        self.modes, self.stiffness = self.shape.shape[1], np.asarray(system.stiffness)
-        self.damping = np.asarray(system.damping)
-        self.axes, self.contacts = len(system.shape), system.law.preload.size
-        self.size = 2 * self.modes + self.contacts * (self.axes - 1)
         self.name, self.fastest = method.name, fastest
         self._modes_of: dict[bytes, Modes] = {}
 
     def opening(self, steps: Linear) -> np.ndarray:
         """Derivative of the state from which the first step starts by that from which its lane does."""
         columns = np.eye(self.size)[None]
-        return self._put(steps.opening[:1], columns)[0]
+        return self.put(steps.ends.opening[:1], columns)[0]
 
     def moved(self, steps: Linear, h: np.ndarray, state: np.ndarray) -> np.ndarray:
         """The product of those of some steps of lengths h in these states of the contacts, shape (n, n)."""
@@ -146,31 +144,16 @@ class Disturbed:
                 if fast is not None:
                     own = fast.change(-after) * fast.shares(slope) - fast.rates[..., None] * shares
                     slope += fast.columns(own)
-        local = self._of_contacts(columns).reshape(h.size, -1, self.size)
-        delay = steps.delay.reshape(h.size, 1, -1) @ local
-        return self._put(steps.put, columns + steps.before[..., None] * delay) - steps.after[..., None] * delay
-
-    def _of_contacts(self, columns: np.ndarray) -> np.ndarray:
-        """Those of the contacts, shape (N, disturbance, contact, n)."""
-        num, axes = len(columns), self.axes
-        local = np.empty((num, 3 * axes - 1, self.contacts, self.size))
-        motion = columns[:, : 2 * self.modes].reshape(num, 2, self.modes, self.size)
-        np.matmul(self.shape, motion, out=local[:, : 2 * axes].reshape(num, 2, len(self.shape), self.size))
-        local[:, 2 * axes :] = columns[:, 2 * self.modes :].reshape(num, axes - 1, self.contacts, self.size)
-        return local
+        return self.ended(steps.ends, columns)
 
     def _rate(self, rates: np.ndarray, columns: np.ndarray, out: np.ndarray) -> np.ndarray:
-        acts, moving = _by_contact(rates, self._of_contacts(columns)), slice(self.modes, 2 * self.modes)
+        acts, moving = by_contact(rates, self.of_contacts(columns)), slice(self.modes, 2 * self.modes)
         q, p, push = columns[:, : self.modes], columns[:, moving], out[:, moving]
-        np.matmul(self.shape.T, _in_rows(acts[:, : self.axes]), out=push)
+        np.matmul(self.shape.T, in_rows(acts[:, : self.axes]), out=push)
         push -= self.stiffness[:, None] * q
         push -= self.damping[:, None] * p if self.damping.ndim == 1 else self.damping @ p
-        out[:, : self.modes], out[:, 2 * self.modes :] = p, _in_rows(acts[:, self.axes :])
+        out[:, : self.modes], out[:, 2 * self.modes :] = p, in_rows(acts[:, self.axes :])
         return out
-
-    def _put(self, blocks: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        slip = _in_rows(_by_contact(blocks, self._of_contacts(columns)))
-        return np.concatenate([columns[:, : 2 * self.modes], slip], axis=1)
 
     def _of_steps(self, rates: np.ndarray, h: np.ndarray, state: np.ndarray, allowed: float) -> Fast | None:
         """The modes that are fast over each of some steps, whose axis is the first; None where no mode is.
@@ -215,24 +198,3 @@ def modes_of(matrix: np.ndarray) -> Modes:
     order = np.argsort(-np.abs(values), kind="stable")
     order = order[clear[order]]
     return Modes(values[order], right[:, order], left[:, order].conj().T)
-
-
-def product(moves: np.ndarray) -> np.ndarray:
-    """The product of matrices, the first on the right."""
-    while (num := len(moves)) > 1:
-        pairs = moves[1::2] @ moves[: num & ~1 : 2]
-        moves = np.concatenate([pairs, moves[-1:]]) if num % 2 else pairs
-    return moves[0]
-
-
-def _by_contact(blocks: np.ndarray, local: np.ndarray) -> np.ndarray:
-    """What each contact does by itself, shape (N, row, contact, n), from blocks (N, disturbance, row, contact)."""
-    found = np.empty((len(local), blocks.shape[2], *local.shape[2:]))
-    np.matmul(blocks.transpose(0, 3, 2, 1), local.swapaxes(1, 2), out=found.swapaxes(1, 2))
-    return found
-
-
-def _in_rows(parts: np.ndarray) -> np.ndarray:
-    """(N, row, contact, n) with all contacts of a row below those of the row before."""
-    num, rows, contacts, size = parts.shape
-    return parts.reshape(num, rows * contacts, size)
